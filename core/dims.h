@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "satsurf/core/shape.h"
+
+namespace satsurf {
+
+/// Checks shapes against named extents and binds each name at its first use across the arguments of one op:
+///   Dims dim("op");  dim.match("cost", cost, "D H W").match("heights", heights, "D");  dim["D"]
+/// A number in the pattern stands for itself. The failing argument is named with what came and what was wanted.
+class Dims {
+ public:
+  explicit Dims(std::string where) : where_(std::move(where)) {}
+
+  /// `argument` is anything with `shape()`, or a Shape. throws ShapeError
+  template <class A>
+  Dims& match(const char* name, const A& argument, const char* pattern) {
+    return match_shape(name, shape_of(argument), pattern);
+  }
+  /// throws ShapeError if the name was never bound
+  Index operator[](const char* letter) const;
+
+ private:
+  static const Shape& shape_of(const Shape& s) { return s; }
+  template <class A>
+  static const Shape& shape_of(const A& a) {
+    return a.shape();
+  }
+  Dims& match_shape(const char* name, const Shape& shape, const char* pattern);
+
+  struct Binding {
+    std::string letter;
+    Index extent;
+    std::string from;
+  };
+  const Binding* find(const std::string& letter) const;
+
+  std::string where_;
+  std::vector<Binding> bound_;
+};
+
+}  // namespace satsurf

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <stdexcept>
+
+namespace satsurf {
+
+/// Base of everything this library throws. The text reads `where: what came, what was wanted[; hint]`.
+struct Error : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+/// A tensor has the wrong shape, or two tensors disagree.
+struct ShapeError : Error {
+  using Error::Error;
+};
+
+/// A file is missing, damaged, or not what was wanted.
+struct IoError : Error {
+  using Error::Error;
+};
+
+/// A parameter is unknown, malformed or out of its range.
+struct ConfigError : Error {
+  using Error::Error;
+};
+
+}  // namespace satsurf
+
+/// Internal impossibilities only; caller mistakes and bad files throw. Active in debug and sanitizer builds.
+#ifdef SATSURF_CHECKED
+#include <cstdlib>
+#define SATSURF_ASSERT(condition) ((condition) ? void(0) : std::abort())
+#else
+#define SATSURF_ASSERT(condition) void(0)
+#endif

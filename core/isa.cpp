@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/isa.h"
+
+#include <cstdlib>
+#include <string>
+
+#include "satsurf/core/error.h"
+
+namespace satsurf {
+namespace {
+
+bool supported(Isa isa) {
+#if defined(__x86_64__)
+  switch (isa) {
+    case Isa::avx512:
+      return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+             __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
+             __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("fma");
+    case Isa::avx2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    case Isa::baseline: return true;
+  }
+#endif
+  return isa == Isa::baseline;
+}
+
+Isa choose() {
+  constexpr Isa kBestFirst[] = {Isa::avx512, Isa::avx2, Isa::baseline};
+  const char* wanted = std::getenv("SATSURF_ISA");
+  for (const Isa isa : kBestFirst) {
+    if (wanted != nullptr && *wanted != '\0' && std::string(wanted) != isa_name(isa)) continue;
+    if (supported(isa)) return isa;
+    if (wanted != nullptr && *wanted != '\0')
+      throw ConfigError(std::string("SATSURF_ISA: ") + wanted + " is not available on this processor");
+  }
+  throw ConfigError(std::string("SATSURF_ISA: '") + wanted + "', expected baseline, avx2 or avx512");
+}
+
+}  // namespace
+
+Isa active_isa() {
+  static const Isa isa = choose();
+  return isa;
+}
+
+const char* isa_name(Isa isa) {
+  switch (isa) {
+    case Isa::avx512: return "avx512";
+    case Isa::avx2: return "avx2";
+    case Isa::baseline: break;
+  }
+  return "baseline";
+}
+
+}  // namespace satsurf

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
+
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+#include <memory>
+#include <mutex>
+
+namespace satsurf {
+namespace {
+
+std::mutex arena_mutex;
+std::shared_ptr<tbb::task_arena> arena;  // empty: the caller's own arena
+
+std::shared_ptr<tbb::task_arena> current_arena() {
+  const std::lock_guard lock(arena_mutex);
+  return arena;
+}
+
+}  // namespace
+
+void set_threads(int threads) {
+  const std::lock_guard lock(arena_mutex);
+  arena = threads > 0 ? std::make_shared<tbb::task_arena>(threads) : nullptr;
+}
+
+int threads() {
+  const auto a = current_arena();
+  return a ? a->max_concurrency() : tbb::this_task_arena::max_concurrency();
+}
+
+void detail::run_pieces(Index pieces, const std::function<void(Index)>& piece) {
+  const auto a = current_arena();
+  const auto loop = [&] {
+    // Pieces are already sized by the caller; let TBB balance them one by one.
+    tbb::parallel_for(tbb::blocked_range<Index>(0, pieces, 1),
+                      [&](const tbb::blocked_range<Index>& r) {
+                        for (Index p = r.begin(); p != r.end(); ++p) piece(p);
+                      },
+                      tbb::simple_partitioner{});
+  };
+  if (a)
+    a->execute(loop);
+  else
+    loop();
+}
+
+}  // namespace satsurf

@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <initializer_list>
+#include <memory>
+#include <vector>
+
+#include "satsurf/core/shape.h"
+
+namespace satsurf {
+
+/// Contiguous row-major array whose buffer is 64-byte aligned and shared between copies.
+/// Copying is cheap and aliases; `clone()` copies the elements.
+template <class T>
+class BasicTensor {
+ public:
+  /// An empty tensor: no buffer, `empty()` is true.
+  BasicTensor() = default;
+  /// Elements are zero.
+  explicit BasicTensor(const Shape& shape);
+  BasicTensor(const Shape& shape, T fill);
+  /// Elements are indeterminate; for outputs of which every element gets written.
+  static BasicTensor uninitialised(const Shape& shape);
+  static BasicTensor zeros_like(const BasicTensor& other) { return BasicTensor(other.shape()); }
+  /// throws ShapeError if the number of values is not the shape's
+  static BasicTensor from(const Shape& shape, std::span<const T> values);
+  static BasicTensor from(const Shape& shape, std::initializer_list<T> values) {
+    return from(shape, std::span<const T>(values.begin(), values.size()));
+  }
+  static BasicTensor scalar(T value) { return BasicTensor(Shape{}, value); }
+
+  const Shape& shape() const { return shape_; }
+  Index dim(Index axis) const { return shape_[axis]; }
+  Index rank() const { return shape_.rank(); }
+  Index count() const { return empty() ? 0 : shape_.count(); }
+  bool empty() const { return buffer_ == nullptr; }
+
+  T* data() { return buffer_.get(); }
+  const T* data() const { return buffer_.get(); }
+  T& operator[](Index i) { return buffer_.get()[i]; }
+  const T& operator[](Index i) const { return buffer_.get()[i]; }
+  std::span<T> values() { return {data(), static_cast<std::size_t>(count())}; }
+  std::span<const T> values() const { return {data(), static_cast<std::size_t>(count())}; }
+  /// The only element; throws ShapeError if there are more or fewer.
+  T item() const;
+
+  BasicTensor clone() const;
+  /// The same buffer under another shape; throws ShapeError if the counts differ.
+  BasicTensor reshaped(const Shape& shape) const;
+  /// The contiguous block number `i` along axis 0, copied: shape without its first extent.
+  BasicTensor slice0(Index i) const;
+  template <class U>
+  BasicTensor<U> cast() const {
+    auto out = BasicTensor<U>::uninitialised(shape_);
+    for (Index i = 0; i < count(); ++i) out[i] = static_cast<U>((*this)[i]);
+    return out;
+  }
+  void fill(T value);
+
+ private:
+  Shape shape_;
+  std::shared_ptr<T> buffer_;
+};
+
+using Tensor = BasicTensor<float>;
+
+/// Bytes in tensor buffers now, and at most since the last `reset_peak_tensor_bytes()`.
+std::size_t tensor_bytes();
+std::size_t peak_tensor_bytes();
+void reset_peak_tensor_bytes();
+/// Returns the buffers kept for reuse to the system.
+void release_tensor_cache();
+
+}  // namespace satsurf

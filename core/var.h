@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "satsurf/core/tensor.h"
+
+namespace satsurf {
+
+/// One recorded value of the tape. Ops see it in their backward closure; nobody else needs it.
+template <class T>
+struct Node {
+  using Backward = std::function<void(Node&)>;
+
+  BasicTensor<T> value;
+  BasicTensor<T> grad;  ///< empty until somebody adds to it
+  std::vector<std::shared_ptr<Node>> inputs;
+  Backward backward;  ///< empty for leaves and for values that want no gradient
+  const char* op = "leaf";
+  std::uint64_t order = 0;  ///< creation number: descending order is a valid reverse order
+  bool wants_grad = false;
+
+  /// Where to add the gradient of input i (zeroed at its first use), or nullptr if nobody wants it.
+  T* grad_in(std::size_t i);
+  /// The value of input i.
+  const T* in(std::size_t i) const { return inputs[i]->value.data(); }
+
+  Node() = default;
+  Node(const Node&) = delete;
+  Node& operator=(const Node&) = delete;
+  ~Node();  // iterative: a chain of a million nodes must not overflow the stack
+};
+
+/// A tensor on the reverse-mode tape. Copies share the node.
+template <class T>
+class BasicVar {
+ public:
+  BasicVar() = default;
+  explicit BasicVar(BasicTensor<T> value, bool wants_grad = false);
+
+  const BasicTensor<T>& value() const { return node_->value; }
+  /// For the owner of a parameter (optimiser, loader): writes in place, visible to every copy.
+  BasicTensor<T>& mutable_value() { return node_->value; }
+  const Shape& shape() const { return node_->value.shape(); }
+  Index dim(Index axis) const { return shape()[axis]; }
+  Index count() const { return node_->value.count(); }
+  bool wants_grad() const { return node_ && node_->wants_grad; }
+  bool empty() const { return node_ == nullptr; }
+
+  /// d(objective)/d(this); an empty tensor if nothing has been added.
+  const BasicTensor<T>& grad() const { return node_->grad; }
+  BasicTensor<T>& mutable_grad() { return node_->grad; }
+  void clear_grad() { node_->grad = {}; }
+  /// The same value, cut from the tape.
+  BasicVar detach() const { return BasicVar(node_->value); }
+
+  /// Runs the tape backwards from this value and adds into the gradients of all leaves that want one.
+  /// Nodes on the way drop their inputs, saved values and gradients as soon as they have run, so a tape can
+  /// be run once.
+  /// seed  same shape as this value; may be omitted for a single element (then 1)
+  /// throws ShapeError
+  void backward(const BasicTensor<T>& seed = {}) const;
+
+  /// Puts an op's result on the tape. `backward` reads `n.grad` and adds into `n.grad_in(i)`; it is dropped
+  /// at once if no input wants a gradient or under NoGrad. Inputs may be empty Vars (optional arguments):
+  /// their `grad_in` is nullptr.
+  static BasicVar record(const char* op, BasicTensor<T> value, std::vector<BasicVar> inputs,
+                         typename Node<T>::Backward backward);
+
+ private:
+  std::shared_ptr<Node<T>> node_;
+};
+
+using Var = BasicVar<float>;
+
+/// While one lives, this thread records nothing.
+class NoGrad {
+ public:
+  NoGrad();
+  ~NoGrad();
+  NoGrad(const NoGrad&) = delete;
+  NoGrad& operator=(const NoGrad&) = delete;
+  static bool active();
+};
+
+/// While one lives, every value and gradient recorded by this thread is checked and the first op that
+/// produced a NaN or an infinity is named by an Error.
+class NanGuard {
+ public:
+  NanGuard();
+  ~NanGuard();
+  NanGuard(const NanGuard&) = delete;
+  NanGuard& operator=(const NanGuard&) = delete;
+  static bool active();
+};
+
+}  // namespace satsurf

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/var.h"
+
+namespace satsurf {
+
+/// a + b, element by element. a, b: equal shapes. throws ShapeError
+template <class T>
+BasicVar<T> add(const BasicVar<T>& a, const BasicVar<T>& b);
+/// a - b. a, b: equal shapes. throws ShapeError
+template <class T>
+BasicVar<T> sub(const BasicVar<T>& a, const BasicVar<T>& b);
+/// a * b. a, b: equal shapes. throws ShapeError
+template <class T>
+BasicVar<T> mul(const BasicVar<T>& a, const BasicVar<T>& b);
+/// factor * x + offset, both plain numbers.
+template <class T>
+BasicVar<T> affine(const BasicVar<T>& x, T factor, T offset);
+/// max(x, 0); gradient 0 at 0.
+template <class T>
+BasicVar<T> relu(const BasicVar<T>& x);
+/// x Phi(x) with the exact normal distribution function. Source: Hendrycks and Gimpel 2016.
+template <class T>
+BasicVar<T> gelu(const BasicVar<T>& x);
+/// 1 / (1 + exp(-x)), without overflow for any x.
+template <class T>
+BasicVar<T> sigmoid(const BasicVar<T>& x);
+/// log(1 + exp(x)), without overflow for any x.
+template <class T>
+BasicVar<T> softplus(const BasicVar<T>& x);
+
+template <class T>
+BasicVar<T> operator+(const BasicVar<T>& a, const BasicVar<T>& b) {
+  return add(a, b);
+}
+template <class T>
+BasicVar<T> operator-(const BasicVar<T>& a, const BasicVar<T>& b) {
+  return sub(a, b);
+}
+template <class T>
+BasicVar<T> operator*(const BasicVar<T>& a, const BasicVar<T>& b) {
+  return mul(a, b);
+}
+
+}  // namespace satsurf
