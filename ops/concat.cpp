@@ -1,1 +1,151 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/ops/concat.h"
+
+#include "satsurf/core/dims.h"
+#include "satsurf/core/parallel.h"
+
+#include <algorithm>
+#include <string>
+
+namespace satsurf {
+namespace {
+
+/// Elements begin.. of axis of a larger tensor, seen as `outer` runs of `run` elements `stride`
+/// apart.
+struct Runs {
+  Index outer, run, stride, begin;
+};
+
+Runs runs_of(const Shape& whole, Index axis, Index begin, Index extent) {
+  const Index inner = whole.count(axis + 1, whole.rank());
+  return {whole.count(0, axis), extent * inner, whole[axis] * inner, begin * inner};
+}
+
+template <class Body>
+void each_run(const Runs& r, const Body& body) {
+  constexpr Index kGrain = 1 << 15;
+  for_range(r.outer, std::max<Index>(1, kGrain / std::max<Index>(1, r.run)),
+            [&](Index begin, Index end) {
+              for (Index o = begin; o < end; ++o) body(r.begin + o * r.stride, o * r.run);
+            });
+}
+
+void check_axis(const char* op, Index axis, const Shape& shape) {
+  if (axis < 0 || axis >= shape.rank())
+    throw ShapeError(std::string(op) + ": axis " + std::to_string(axis) +
+                     ", expected one of shape " + shape.str());
+}
+
+}  // namespace
+
+template <class T>
+BasicVar<T> concat(const std::vector<BasicVar<T>>& parts, Index axis) {
+  if (parts.empty()) throw ShapeError("concat: no parts, expected at least one");
+  const Shape& first = parts[0].shape();
+  check_axis("concat", axis, first);
+  Index extent = 0;
+  for (std::size_t k = 0; k < parts.size(); ++k) {
+    const Shape& s = parts[k].shape();
+    if (s.rank() != first.rank() || s.with(axis, 0) != first.with(axis, 0))
+      throw ShapeError("concat: part " + std::to_string(k) + " has shape " + s.str() +
+                       ", expected " + first.str() + " from part 0 except along axis " +
+                       std::to_string(axis));
+    extent += s[axis];
+  }
+  const Shape shape = first.with(axis, extent);
+  auto out = BasicTensor<T>::uninitialised(shape);
+  Index begin = 0;
+  for (const BasicVar<T>& p : parts) {
+    const Runs r = runs_of(shape, axis, begin, p.dim(axis));
+    const T* x = p.value().data();
+    T* y = out.data();
+    each_run(r, [&](Index to, Index from) { std::copy_n(x + from, r.run, y + to); });
+    begin += p.dim(axis);
+  }
+  return BasicVar<T>::record("concat", out, parts, [axis](Node<T>& n) {
+    const T* g = n.grad.data();
+    Index offset = 0;
+    for (std::size_t k = 0; k < n.inputs.size(); ++k) {
+      const Index e = n.inputs[k]->value.dim(axis);
+      if (T* dx = n.grad_in(k)) {
+        const Runs r = runs_of(n.value.shape(), axis, offset, e);
+        each_run(r, [&](Index from, Index to) {
+          for (Index i = 0; i < r.run; ++i) dx[to + i] += g[from + i];
+        });
+      }
+      offset += e;
+    }
+  });
+}
+
+template <class T>
+BasicVar<T> slice(const BasicVar<T>& x, Index axis, Index begin, Index end) {
+  check_axis("slice", axis, x.shape());
+  if (begin < 0 || end < begin || end > x.dim(axis))
+    throw ShapeError("slice: elements " + std::to_string(begin) + ".." + std::to_string(end) +
+                     " of axis " + std::to_string(axis) + ", expected a range within shape " +
+                     x.shape().str());
+  const Runs r = runs_of(x.shape(), axis, begin, end - begin);
+  auto out = BasicTensor<T>::uninitialised(x.shape().with(axis, end - begin));
+  const T* px = x.value().data();
+  T* y = out.data();
+  each_run(r, [&](Index from, Index to) { std::copy_n(px + from, r.run, y + to); });
+  return BasicVar<T>::record("slice", out, {x}, [r](Node<T>& n) {
+    const T* g = n.grad.data();
+    if (T* dx = n.grad_in(0))
+      each_run(r, [&](Index to, Index from) {
+        for (Index i = 0; i < r.run; ++i) dx[to + i] += g[from + i];
+      });
+  });
+}
+
+template <class T>
+BasicVar<T> reshape(const BasicVar<T>& x, const Shape& shape) {
+  if (shape.count() != x.count())
+    throw ShapeError("reshape: x has shape " + x.shape().str() + ", expected as many elements as " +
+                     shape.str());
+  return BasicVar<T>::record("reshape", x.value().reshaped(shape), {x}, [](Node<T>& n) {
+    const T* g = n.grad.data();
+    if (T* dx = n.grad_in(0))
+      for_range(n.grad.count(), 1 << 15, [=](Index begin, Index end) {
+        for (Index i = begin; i < end; ++i) dx[i] += g[i];
+      });
+  });
+}
+
+template <class T>
+BasicVar<T> pixels_from_map(const BasicVar<T>& x) {
+  Dims dim("pixels_from_map");
+  dim.match("x", x, "N C H W");
+  const Index N = dim["N"], C = dim["C"], P = dim["H"] * dim["W"];
+  constexpr Index kPixels = 1024;  // per piece
+  auto out = BasicTensor<T>::uninitialised({N * P, C});
+  const T* px = x.value().data();
+  T* y = out.data();
+  for (Index i = 0; i < N; ++i)
+    for_range(P, kPixels, [&](Index begin, Index end) {
+      for (Index c = 0; c < C; ++c)
+        for (Index p = begin; p < end; ++p) y[(i * P + p) * C + c] = px[(i * C + c) * P + p];
+    });
+  return BasicVar<T>::record("pixels_from_map", out, {x}, [=](Node<T>& n) {
+    const T* g = n.grad.data();
+    T* dx = n.grad_in(0);
+    if (dx == nullptr) return;
+    for (Index i = 0; i < N; ++i)
+      for_range(P, kPixels, [&](Index begin, Index end) {
+        for (Index c = 0; c < C; ++c)
+          for (Index p = begin; p < end; ++p) dx[(i * C + c) * P + p] += g[(i * P + p) * C + c];
+      });
+  });
+}
+
+template BasicVar<float> concat(const std::vector<BasicVar<float>>&, Index);
+template BasicVar<double> concat(const std::vector<BasicVar<double>>&, Index);
+template BasicVar<float> slice(const BasicVar<float>&, Index, Index, Index);
+template BasicVar<double> slice(const BasicVar<double>&, Index, Index, Index);
+template BasicVar<float> reshape(const BasicVar<float>&, const Shape&);
+template BasicVar<double> reshape(const BasicVar<double>&, const Shape&);
+template BasicVar<float> pixels_from_map(const BasicVar<float>&);
+template BasicVar<double> pixels_from_map(const BasicVar<double>&);
+
+}  // namespace satsurf

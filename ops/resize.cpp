@@ -1,1 +1,204 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/ops/resize.h"
+
+#include "satsurf/core/parallel.h"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+namespace satsurf {
+namespace {
+
+constexpr Index kGrain = 1 << 14;  // elements per piece
+
+/// Where each output element of one axis reads: weight 1 - weight[i] at low[i], weight[i] at
+/// high[i]. low is non-decreasing, which is what makes the gradient a gather over ranges of
+/// outputs.
+struct Axis {
+  std::vector<Index> low, high;
+  std::vector<double> weight;
+
+  Index out() const { return static_cast<Index>(low.size()); }
+  static std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+};
+
+Axis nearest_axis(Index in, Index out) {
+  Axis a;
+  for (Index i = 0; i < out; ++i) {
+    a.low.push_back((2 * i + 1) * in / (2 * out));  // floor((i + 0.5) in / out), in integers
+    a.weight.push_back(0);
+  }
+  a.high = a.low;
+  return a;
+}
+
+Axis bilinear_axis(Index in, Index out) {
+  Axis a;
+  for (Index i = 0; i < out; ++i) {
+    const double x =
+        (static_cast<double>(i) + 0.5) * static_cast<double>(in) / static_cast<double>(out) - 0.5;
+    const double inside = std::clamp(x, 0.0, static_cast<double>(in - 1));
+    const Index low = std::min(static_cast<Index>(inside), std::max<Index>(0, in - 2));
+    a.low.push_back(low);
+    a.high.push_back(std::min(low + 1, in - 1));
+    a.weight.push_back(inside - static_cast<double>(low));
+  }
+  return a;
+}
+
+/// first[k]..last[k]-1: the outputs that read input k.
+struct Readers {
+  std::vector<Index> first, last;
+  Readers(const Axis& a, Index in) : first(Axis::at(in), 0), last(Axis::at(in), 0) {
+    for (Index i = a.out() - 1; i >= 0; --i)
+      for (const Index k : {a.low[Axis::at(i)], a.high[Axis::at(i)]}) {
+        if (last[Axis::at(k)] == 0) last[Axis::at(k)] = i + 1;
+        first[Axis::at(k)] = i;
+      }
+  }
+};
+
+template <class T>
+struct Size {
+  Index planes, H, W;
+  Shape out;
+  Size(const char* op, const BasicVar<T>& x, Index height, Index width) {
+    const Shape& s = x.shape();
+    if (s.rank() < 2 || s.count() == 0)
+      throw ShapeError(std::string(op) + ": x has shape " + s.str() +
+                       ", expected a non-empty [... H W]");
+    if (height < 1 || width < 1)
+      throw ShapeError(std::string(op) + ": size " + std::to_string(height) + " x " +
+                       std::to_string(width) + ", expected at least 1 x 1");
+    const Index r = s.rank();
+    planes = s.count(0, r - 2);
+    H = s[r - 2];
+    W = s[r - 1];
+    out = s.with(r - 2, height).with(r - 1, width);
+  }
+};
+
+/// body(plane, row) for all rows of all planes, in pieces of about kGrain elements.
+template <class Body>
+void each_row(Index planes, Index rows, Index row_cost, const Body& body) {
+  for_range(planes * rows, std::max<Index>(1, kGrain / std::max<Index>(1, row_cost)),
+            [&](Index begin, Index end) {
+              for (Index r = begin; r < end; ++r) body(r / rows, r % rows);
+            });
+}
+
+/// out row = the two input rows of output row i, mixed.
+template <class T>
+void mix_rows(const Axis& v, Index i, const T* plane, Index W, T* out) {
+  const T *a = plane + v.low[Axis::at(i)] * W, *b = plane + v.high[Axis::at(i)] * W;
+  const T w = static_cast<T>(v.weight[Axis::at(i)]);
+  if (w == 0) {
+    std::copy_n(a, W, out);
+  } else {
+    for (Index x = 0; x < W; ++x) out[x] = a[x] + w * (b[x] - a[x]);
+  }
+}
+
+template <class T>
+BasicVar<T> resample(const char* op, const BasicVar<T>& x, const Size<T>& size, Axis vertical,
+                     Axis horizontal) {
+  const Index H = size.H, W = size.W, planes = size.planes;
+  const Index out_H = vertical.out(), out_W = horizontal.out();
+  auto out = BasicTensor<T>::uninitialised(size.out);
+  each_row(planes, out_H, out_W, [&](Index p, Index i) {
+    thread_local std::vector<T> mixed;
+    mixed.resize(Axis::at(W));
+    mix_rows(vertical, i, x.value().data() + p * H * W, W, mixed.data());
+    T* y = out.data() + (p * out_H + i) * out_W;
+    for (Index j = 0; j < out_W; ++j) {
+      const T a = mixed[Axis::at(horizontal.low[Axis::at(j)])];
+      const T b = mixed[Axis::at(horizontal.high[Axis::at(j)])];
+      y[j] = a + static_cast<T>(horizontal.weight[Axis::at(j)]) * (b - a);
+    }
+  });
+  return BasicVar<T>::record(
+      op, out, {x}, [=, v = std::move(vertical), h = std::move(horizontal)](Node<T>& n) {
+        T* dx = n.grad_in(0);
+        if (dx == nullptr) return;
+        const Readers readers(v, H);
+        const T* g = n.grad.data();
+        each_row(planes, H, W, [&](Index p, Index k) {  // every input row gathers its readers
+          thread_local std::vector<T> mixed;
+          mixed.assign(Axis::at(out_W), T(0));
+          for (Index i = readers.first[Axis::at(k)]; i < readers.last[Axis::at(k)]; ++i) {
+            const T w = static_cast<T>(v.weight[Axis::at(i)]);
+            const T share =
+                (v.low[Axis::at(i)] == k ? T(1) - w : T(0)) + (v.high[Axis::at(i)] == k ? w : T(0));
+            const T* row = g + (p * out_H + i) * out_W;
+            for (Index j = 0; j < out_W; ++j) mixed[Axis::at(j)] += share * row[j];
+          }
+          T* to = dx + (p * H + k) * W;
+          for (Index j = 0; j < out_W; ++j) {
+            const T w = static_cast<T>(h.weight[Axis::at(j)]), m = mixed[Axis::at(j)];
+            to[h.low[Axis::at(j)]] += (T(1) - w) * m;
+            to[h.high[Axis::at(j)]] += w * m;
+          }
+        });
+      });
+}
+
+}  // namespace
+
+template <class T>
+BasicVar<T> resize_nearest(const BasicVar<T>& x, Index height, Index width) {
+  const Size<T> size("resize_nearest", x, height, width);
+  return resample("resize_nearest", x, size, nearest_axis(size.H, height),
+                  nearest_axis(size.W, width));
+}
+
+template <class T>
+BasicVar<T> resize_bilinear(const BasicVar<T>& x, Index height, Index width) {
+  const Size<T> size("resize_bilinear", x, height, width);
+  return resample("resize_bilinear", x, size, bilinear_axis(size.H, height),
+                  bilinear_axis(size.W, width));
+}
+
+template <class T>
+BasicVar<T> area_downsample(const BasicVar<T>& x, Index factor) {
+  const Shape& s = x.shape();
+  const Index r = s.rank();
+  if (factor < 1 || r < 2 || s[r - 2] % factor != 0 || s[r - 1] % factor != 0)
+    throw ShapeError("area_downsample: x has shape " + s.str() +
+                     ", expected [... H W] with H and W multiples of factor " +
+                     std::to_string(factor));
+  const Index planes = s.count(0, r - 2), H = s[r - 2] / factor, W = s[r - 1] / factor;
+  const T share = T(1) / static_cast<T>(factor * factor);
+  auto out = BasicTensor<T>::uninitialised(s.with(r - 2, H).with(r - 1, W));
+  each_row(planes, H, W * factor * factor, [&](Index p, Index i) {
+    const T* from = x.value().data() + (p * H + i) * factor * W * factor;
+    T* y = out.data() + (p * H + i) * W;
+    for (Index j = 0; j < W; ++j) {
+      T total = 0;
+      for (Index a = 0; a < factor; ++a)
+        for (Index b = 0; b < factor; ++b) total += from[a * W * factor + j * factor + b];
+      y[j] = total * share;
+    }
+  });
+  return BasicVar<T>::record("area_downsample", out, {x}, [=](Node<T>& n) {
+    T* dx = n.grad_in(0);
+    if (dx == nullptr) return;
+    each_row(planes, H, W * factor * factor, [&](Index p, Index i) {
+      const T* g = n.grad.data() + (p * H + i) * W;
+      T* to = dx + (p * H + i) * factor * W * factor;
+      for (Index a = 0; a < factor; ++a)
+        for (Index j = 0; j < W; ++j)
+          for (Index b = 0; b < factor; ++b) to[(a * W + j) * factor + b] += g[j] * share;
+    });
+  });
+}
+
+template BasicVar<float> resize_nearest(const BasicVar<float>&, Index, Index);
+template BasicVar<double> resize_nearest(const BasicVar<double>&, Index, Index);
+template BasicVar<float> resize_bilinear(const BasicVar<float>&, Index, Index);
+template BasicVar<double> resize_bilinear(const BasicVar<double>&, Index, Index);
+template BasicVar<float> area_downsample(const BasicVar<float>&, Index);
+template BasicVar<double> area_downsample(const BasicVar<double>&, Index);
+
+}  // namespace satsurf
