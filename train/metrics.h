@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/train/raycast.h"
+
+#include <array>
+#include <string>
+
+namespace satsurf::train {
+
+/// Peak signal-to-noise ratio, dB: values clipped to [0, 1], -10 log10 of the mean squared
+/// difference over all channels and the pixels whose mask is not zero. Infinite for equal images,
+/// NaN where nothing is compared. image, reference [C H W];  mask [H W] or empty for all pixels
+double psnr(const Tensor& image, const Tensor& reference, const Tensor& mask = {});
+
+/// How far predicted heights are from true ones. "Compared" cells have both; "truth" cells have a
+/// true height and are not masked out. PAG_t is the share of cells with |error| < t, strictly.
+struct HeightScores {
+  Index truth = 0;                          ///< truth cells
+  Index compared = 0;                       ///< of them with a prediction
+  double completeness = 0;                  ///< compared / truth
+  double mae = 0, rmse = 0;                 ///< over compared cells, m
+  double median = 0;                        ///< of the signed errors (prediction - truth), m
+  double nmad = 0;                          ///< 1.4826 times the median of |error - median|, m
+  double pag1 = 0, pag2_5 = 0, pag7_5 = 0;  ///< over truth cells: a missing prediction is a failure
+  double pag1_compared = 0, pag2_5_compared = 0, pag7_5_compared = 0;  ///< over compared cells only
+};
+
+/// Scores without any registration. Means over nothing are NaN.
+/// prediction, truth [H W] m, NaN where unknown;  mask [H W], zero where a cell does not count, or
+/// empty
+HeightScores score_heights(const Tensor& prediction, const Tensor& truth, const Tensor& mask = {});
+
+/// The field at the cell centres of another grid: bilinear where all four neighbours are known,
+/// else the nearest cell. NaN stays NaN.
+Tensor resample(const HeightField& field, const HeightField& grid);
+
+/// What may be taken out of a prediction before it is scored: nothing, one height offset, or also a
+/// horizontal shift.
+enum class Registration { none, z, xyz };
+/// throws ConfigError naming the choices
+Registration registration_from(const std::string& text);
+
+/// A DSM against the truth, on the truth's grid.
+struct DsmComparison {
+  HeightScores raw;
+  HeightScores registered;
+  std::array<double, 3> shift{0, 0, 0};  ///< added to the prediction: east, north, up, m
+  Tensor error;  ///< [H W] registered prediction - truth, NaN where not compared
+};
+
+/// Resamples the prediction to the truth's grid, registers it as asked and scores it before and
+/// after.
+///   z    the median difference
+///   xyz  first a horizontal shift by whole truth cells that maximises the normalised correlation
+///   of the heights,
+///        searched coarse to fine (halved until a side is below 100 cells, 5 cells around the best
+///        of the level above), then the median difference
+/// Both fields are in one local frame. mask [H W] on the truth's grid or empty.
+/// throws Error if prediction and truth have no cell in common
+DsmComparison compare_dsm(const HeightField& prediction, const HeightField& truth,
+                          Registration registration, const Tensor& mask = {});
+
+}  // namespace satsurf::train
