@@ -1,1 +1,280 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
+#include "satsurf/core/isa.h"
+#include "satsurf/core/parallel.h"
+#include "satsurf/ops/conv.h"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "tests/gradcheck.h"
+#include "tests/ref/conv_ref.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::test;
+
+namespace {
+
+struct Case {
+  const char* name;
+  Index B, C, O;
+  std::array<Index, 3> x, kernel, stride, padding;
+};
+
+// Odd sizes, single pixels, channel counts that fill no tile, rows shorter and longer than any
+// vector, and the strides and kernels the network uses.
+const std::vector<Case> kCases = {
+    {"3x3x3", 2, 3, 5, {4, 5, 7}, {3, 3, 3}, {1, 1, 1}, {1, 1, 1}},
+    {"3x3x3, all planes beyond one row", 1, 2, 8, {3, 9, 67}, {3, 3, 3}, {1, 1, 1}, {1, 1, 1}},
+    {"3x3x3, one output", 2, 9, 1, {5, 7, 18}, {3, 3, 3}, {1, 1, 1}, {1, 1, 1}},
+    {"3x3x3 down", 2, 3, 11, {6, 8, 10}, {3, 3, 3}, {2, 2, 2}, {1, 1, 1}},
+    {"3x3x3 down, odd", 1, 5, 6, {5, 7, 35}, {3, 3, 3}, {2, 2, 2}, {1, 1, 1}},
+    {"uneven kernel and strides", 2, 3, 4, {7, 9, 11}, {2, 3, 4}, {3, 2, 1}, {0, 2, 1}},
+    {"stride beyond the kernel", 1, 2, 3, {7, 8, 9}, {2, 1, 2}, {3, 2, 3}, {0, 0, 0}},
+    {"padding beyond the kernel", 1, 2, 3, {2, 3, 2}, {2, 3, 3}, {1, 1, 2}, {3, 4, 4}},
+    {"one voxel", 3, 4, 2, {1, 1, 1}, {3, 3, 3}, {1, 1, 1}, {1, 1, 1}},
+    {"one voxel down", 1, 4, 2, {1, 1, 1}, {3, 3, 3}, {2, 2, 2}, {1, 1, 1}},
+    {"2D 3x3", 3, 3, 8, {1, 13, 17}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
+    {"2D 3x3, wide", 1, 4, 10, {1, 5, 130}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
+    {"2D 4x4 down", 2, 5, 7, {1, 12, 18}, {1, 4, 4}, {1, 2, 2}, {0, 1, 1}},
+    {"2D 1x1", 2, 19, 13, {1, 6, 11}, {1, 1, 1}, {1, 1, 1}, {0, 0, 0}},
+    {"2D many channels", 1, 35, 12, {1, 7, 9}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
+    {"2D tall enough for several chunks", 1, 33, 2, {1, 90, 70}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
+    {"3D several chunks and planes", 1, 9, 3, {4, 41, 65}, {3, 3, 3}, {1, 2, 2}, {1, 1, 1}},
+};
+
+conv::Geometry geometry(const Case& c) {
+  conv::Geometry g{.B = c.B,
+                   .C = c.C,
+                   .O = c.O,
+                   .x_size = c.x,
+                   .y_size = {},
+                   .kernel = c.kernel,
+                   .stride = c.stride,
+                   .padding = c.padding};
+  for (std::size_t a = 0; a < 3; ++a)
+    g.y_size[a] = (c.x[a] + 2 * c.padding[a] - c.kernel[a]) / c.stride[a] + 1;
+  return g;
+}
+
+bool available(Isa isa) { return static_cast<int>(isa) <= static_cast<int>(active_isa()); }
+
+template <class T>
+const ConvKernels<T>& kernels_of(Isa isa) {
+  return isa == Isa::avx512 ? isa_avx512::conv_kernels<T>()
+         : isa == Isa::avx2 ? isa_avx2::conv_kernels<T>()
+                            : isa_baseline::conv_kernels<T>();
+}
+
+/// Largest |a - b| over the largest |b|.
+template <class T>
+double difference(const BasicTensor<T>& a, const Doubles& b) {
+  double worst = 0, scale = 0;
+  for (Index i = 0; i < b.count(); ++i) {
+    if (!std::isfinite(a[i])) return INFINITY;
+    worst = std::max(worst, std::abs(static_cast<double>(a[i]) - b[i]));
+    scale = std::max(scale, std::abs(b[i]));
+  }
+  return worst / scale;
+}
+
+template <class T>
+void check_case(const Case& c, Isa isa) {
+  const auto& kernels = kernels_of<T>(isa);
+  const conv::Geometry g = geometry(c);
+  const double tolerance = sizeof(T) == 4 ? 3e-6 : 1e-14;
+  const auto x = normal({g.B * g.C * g.x_count()}, 1), y = normal({g.B * g.O * g.y_count()}, 2),
+             w = normal({g.O * g.C * g.taps()}, 3), bias_y = normal({g.O}, 4),
+             bias_x = normal({g.C}, 5), first_w = normal(w.shape(), 6);
+  const auto xt = x.cast<T>(), yt = y.cast<T>(), wt = w.cast<T>(), bias_yt = bias_y.cast<T>(),
+             bias_xt = bias_x.cast<T>();
+  const auto plus_bias = [](Doubles t, const Doubles& bias, Index n) {
+    for (Index i = 0; i < t.count(); ++i) t[i] += bias[i / n % bias.count()];
+    return t;
+  };
+
+  // Overwriting starts from NaN, so that an element which nobody writes shows.
+  const auto y_ref = correlate_ref(g, x, w);
+  auto out = BasicTensor<T>(y.shape(), static_cast<T>(NAN));
+  conv::correlate(kernels, g, xt.data(), wt.data(), bias_yt.data(), out.data(), false);
+  CHECK(difference(out, plus_bias(y_ref.clone(), bias_y, g.y_count())) < tolerance);
+  out = yt.clone();
+  conv::correlate<T>(kernels, g, xt.data(), wt.data(), nullptr, out.data(), true);
+  auto sum = y_ref.clone();
+  for (Index i = 0; i < sum.count(); ++i) sum[i] += y[i];
+  CHECK(difference(out, sum) < tolerance);
+
+  const auto x_ref = correlate_adjoint_ref(g, y, w);
+  out = BasicTensor<T>(x.shape(), static_cast<T>(NAN));
+  conv::correlate_adjoint(kernels, g, yt.data(), wt.data(), bias_xt.data(), out.data(), false);
+  CHECK(difference(out, plus_bias(x_ref.clone(), bias_x, g.x_count())) < tolerance);
+  out = xt.clone();
+  conv::correlate_adjoint<T>(kernels, g, yt.data(), wt.data(), nullptr, out.data(), true);
+  sum = x_ref.clone();
+  for (Index i = 0; i < sum.count(); ++i) sum[i] += x[i];
+  CHECK(difference(out, sum) < tolerance);
+
+  out = first_w.cast<T>();
+  conv::correlate_weight_gradient(kernels, g, xt.data(), yt.data(), out.data());
+  sum = weight_gradient_ref(g, x, y);
+  for (Index i = 0; i < sum.count(); ++i) sum[i] += first_w[i];
+  CHECK(difference(out, sum) < tolerance);
+
+  out = bias_yt.clone();
+  conv::bias_gradient(kernels, g.B, g.O, g.y_count(), yt.data(), out.data());
+  sum = bias_y.clone();
+  for (Index i = 0; i < y.count(); ++i) sum[i / g.y_count() % g.O] += y[i];
+  CHECK(difference(out, sum) < tolerance);
+}
+
+/// Everything one op computes, forward and backward, at a given number of threads.
+std::vector<float> results(const Case& c, int threads) {
+  set_threads(threads);
+  const Var x(normal({c.B, c.C, c.x[0], c.x[1], c.x[2]}, 1).cast<float>(), true);
+  const Var w(normal({c.O, c.C, c.kernel[0], c.kernel[1], c.kernel[2]}, 2).cast<float>(), true);
+  const Var b(normal({c.O}, 3).cast<float>(), true);
+  const Var y = conv3d(x, w, b, {.stride = c.stride, .padding = c.padding});
+  y.backward(normal(y.shape(), 4).cast<float>());
+  set_threads(0);
+  std::vector<float> all;
+  for (const Tensor& t : {y.value(), x.grad(), w.grad(), b.grad()})
+    all.insert(all.end(), t.values().begin(), t.values().end());
+  return all;
+}
+
+BasicVar<double> var(const Shape& shape) { return BasicVar<double>(BasicTensor<double>(shape)); }
+
+}  // namespace
+
+TEST_CASE("convolution kernels agree with nested loops on every instruction set") {
+  for (const Isa isa : {Isa::baseline, Isa::avx2, Isa::avx512}) {
+    if (!available(isa)) continue;
+    for (const Case& c : kCases) {
+      CAPTURE(isa_name(isa));
+      CAPTURE(c.name);
+      check_case<float>(c, isa);
+      check_case<double>(c, isa);
+    }
+  }
+}
+
+TEST_CASE("conv2d gradients") {
+  const auto f = [](const Conv2dOptions& o) {
+    return [o](const DoubleVars& v) { return conv2d(v[0], v[1], v[2], o); };
+  };
+  CHECK(gradcheck(f({.stride = {1, 1}, .padding = {1, 1}}),
+                  {normal({2, 3, 5, 7}, 1), normal({4, 3, 3, 3}, 2), normal({4}, 3)}));
+  CHECK(gradcheck(f({.stride = {2, 2}, .padding = {1, 1}}),
+                  {normal({2, 2, 6, 9}, 4), normal({3, 2, 4, 4}, 5), normal({3}, 6)}));
+  CHECK(gradcheck(f({.stride = {2, 1}, .padding = {0, 2}}),
+                  {normal({2, 3, 4, 6}, 7), normal({2, 3, 1, 2}, 8), normal({2}, 9)}));
+}
+
+TEST_CASE("conv3d gradients") {
+  const auto f = [](const Conv3dOptions& o) {
+    return [o](const DoubleVars& v) { return conv3d(v[0], v[1], v[2], o); };
+  };
+  CHECK(gradcheck(f({.stride = {1, 1, 1}, .padding = {1, 1, 1}}),
+                  {normal({2, 3, 2, 4, 5}, 1), normal({4, 3, 3, 3, 3}, 2), normal({4}, 3)}));
+  CHECK(gradcheck(f({.stride = {2, 2, 2}, .padding = {1, 1, 1}}),
+                  {normal({2, 2, 4, 5, 7}, 4), normal({3, 2, 3, 3, 3}, 5), normal({3}, 6)}));
+  CHECK(gradcheck(f({.stride = {1, 2, 3}, .padding = {1, 0, 2}}),
+                  {normal({2, 2, 3, 4, 5}, 7), normal({3, 2, 1, 2, 3}, 8), normal({3}, 9)}));
+}
+
+TEST_CASE("conv_transpose3d gradients") {
+  const auto f = [](const ConvTranspose3dOptions& o) {
+    return [o](const DoubleVars& v) { return conv_transpose3d(v[0], v[1], v[2], o); };
+  };
+  CHECK(gradcheck(f({.stride = {2, 2, 2}, .padding = {1, 1, 1}, .output_padding = {1, 1, 1}}),
+                  {normal({2, 3, 2, 3, 4}, 1), normal({3, 2, 3, 3, 3}, 2), normal({2}, 3)}));
+  CHECK(gradcheck(f({.stride = {1, 2, 3}, .padding = {0, 1, 1}, .output_padding = {0, 0, 2}}),
+                  {normal({2, 2, 3, 4, 3}, 4), normal({2, 3, 2, 3, 4}, 5), normal({3}, 6)}));
+}
+
+TEST_CASE("convolutions without a bias") {
+  CHECK(gradcheck([](const DoubleVars& v) { return conv2d(v[0], v[1], BasicVar<double>()); },
+                  {normal({2, 3, 4, 5}, 1), normal({2, 3, 3, 2}, 2)}));
+  CHECK(gradcheck(
+      [](const DoubleVars& v) { return conv_transpose3d(v[0], v[1], BasicVar<double>()); },
+      {normal({2, 3, 2, 3, 4}, 1), normal({3, 2, 1, 3, 2}, 2)}));
+}
+
+TEST_CASE("conv3d of a known sequence") {
+  const BasicVar<double> x(BasicTensor<double>::from({1, 1, 1, 1, 4}, {1, 2, 3, 4}));
+  const BasicVar<double> w(BasicTensor<double>::from({1, 1, 1, 1, 3}, {10, 100, 1000}));
+  const BasicVar<double> b(BasicTensor<double>::from({1}, {0.5}));
+  const auto y = conv3d(x, w, b, {.stride = {1, 1, 1}, .padding = {0, 0, 1}});
+  CHECK(y.shape() == Shape{1, 1, 1, 1, 4});
+  CHECK(std::vector<double>(y.value().values().begin(), y.value().values().end()) ==
+        std::vector<double>{2100.5, 3210.5, 4320.5, 430.5});
+  const auto t = conv_transpose3d(x, w, b, {.stride = {1, 1, 2}, .output_padding = {0, 0, 1}});
+  CHECK(t.shape() == Shape{1, 1, 1, 1, 10});
+  CHECK(std::vector<double>(t.value().values().begin(), t.value().values().end()) ==
+        std::vector<double>{10.5, 100.5, 1020.5, 200.5, 2030.5, 300.5, 3040.5, 400.5, 4000.5, 0.5});
+}
+
+TEST_CASE("conv_transpose3d is the adjoint of conv3d") {
+  const auto x = normal({2, 3, 4, 6, 8}, 1), w = normal({5, 3, 3, 3, 3}, 2);
+  const auto y = conv3d(BasicVar<double>(x), BasicVar<double>(w), BasicVar<double>(),
+                        {.stride = {2, 2, 2}, .padding = {1, 1, 1}});
+  const auto g = normal(y.shape(), 3);
+  const auto back =
+      conv_transpose3d(BasicVar<double>(g), BasicVar<double>(w), BasicVar<double>(),
+                       {.stride = {2, 2, 2}, .padding = {1, 1, 1}, .output_padding = {1, 1, 1}});
+  REQUIRE(back.shape() == x.shape());
+  double left = 0, right = 0;
+  for (Index i = 0; i < y.count(); ++i) left += y.value()[i] * g[i];
+  for (Index i = 0; i < x.count(); ++i) right += x[i] * back.value()[i];
+  CHECK(left == doctest::Approx(right).epsilon(1e-12));
+}
+
+TEST_CASE("convolutions give the same bits on one and on two threads") {
+  for (const Case& c : kCases) {
+    CAPTURE(c.name);
+    CHECK(results(c, 1) == results(c, 2));
+  }
+}
+
+TEST_CASE("convolutions refuse what does not fit") {
+  const auto none = BasicVar<double>();
+  CHECK_THROWS_WITH_AS(conv2d(var({2, 3, 5, 7}), var({4, 2, 3, 3}), none),
+                       "conv2d: weight has shape [4,2,3,3], expected [O C KH KW] with C=3 from x",
+                       ShapeError);
+  CHECK_THROWS_WITH_AS(conv2d(var({2, 3, 5, 7}), var({4, 3, 3, 3}), var({5})),
+                       "conv2d: bias has shape [5], expected [O] with O=4 from weight", ShapeError);
+  CHECK_THROWS_WITH_AS(conv2d(var({2, 3, 5}), var({4, 3, 3, 3}), none),
+                       "conv2d: x has shape [2,3,5], expected [B C H W]", ShapeError);
+  CHECK_THROWS_WITH_AS(conv2d(var({1, 1, 5, 7}), var({1, 1, 3, 3}), none, {.stride = {1, 0}}),
+                       "conv2d: stride [1,0], expected 1 or more", ShapeError);
+  CHECK_THROWS_WITH_AS(conv2d(var({1, 1, 5, 7}), var({1, 1, 3, 3}), none, {.padding = {-1, 0}}),
+                       "conv2d: padding [-1,0], expected 0 or more", ShapeError);
+  CHECK_THROWS_WITH_AS(conv2d(var({1, 1, 5, 7}), var({1, 1, 3, 0}), none),
+                       "conv2d: weight has shape [1,1,3,0], expected no extent of 0", ShapeError);
+  CHECK_THROWS_WITH_AS(
+      conv3d(var({1, 1, 2, 5, 7}), var({1, 1, 3, 3, 3}), none),
+      "conv3d: x has shape [1,1,2,5,7] and weight [1,1,3,3,3], expected a kernel no "
+      "larger than the padded x",
+      ShapeError);
+  CHECK_THROWS_WITH_AS(
+      conv3d(var({2, 3, 2, 5, 7}), var({4, 2, 1, 3, 3}), none),
+      "conv3d: weight has shape [4,2,1,3,3], expected [O C KD KH KW] with C=3 from x", ShapeError);
+  CHECK_THROWS_WITH_AS(
+      conv_transpose3d(var({2, 3, 2, 5, 7}), var({4, 2, 1, 3, 3}), none),
+      "conv_transpose3d: weight has shape [4,2,1,3,3], expected [C O KD KH KW] with "
+      "C=3 from x",
+      ShapeError);
+  CHECK_THROWS_WITH_AS(
+      conv_transpose3d(var({1, 1, 2, 2, 2}), var({1, 1, 3, 3, 3}), none,
+                       {.stride = {2, 2, 2}, .padding = {1, 1, 1}, .output_padding = {2, 1, 1}}),
+      "conv_transpose3d: output_padding [2,1,1], expected 0 or more and less than stride [2,2,2]",
+      ShapeError);
+  CHECK_THROWS_WITH_AS(
+      conv_transpose3d(var({1, 1, 1, 2, 2}), var({1, 1, 1, 3, 3}), none, {.padding = {1, 0, 0}}),
+      "conv_transpose3d: padding [1,0,0] leaves no output of x [1,1,1,2,2] and "
+      "weight [1,1,1,3,3], expected at least one",
+      ShapeError);
+}
