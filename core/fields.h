@@ -1,8 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <nlohmann/json_fwd.hpp>
+#include "satsurf/core/shape.h"
+
+#include <array>
+#include <cstdint>
+#include <span>
 #include <string>
+#include <type_traits>
+#include <utility>
+#include <variant>
 #include <vector>
 
 namespace satsurf {
@@ -12,21 +19,132 @@ namespace satsurf {
 //   struct TrainConfig {
 //     double lr = 1e-3;
 //     Index steps = 1000;
+//     ModelConfig model;
 //     template <class Self, class V>
 //     static void fields(Self& s, V&& v) {
-//       v("lr", s.lr, Field{.help = "peak learning rate", .unit = "", .min = 0, .max = 1});
+//       v("lr", s.lr, Field{.help = "peak learning rate", .min = 0, .max = 1});
 //       v("steps", s.steps, Field{.help = "optimiser steps", .min = 1});
+//       v("model", s.model);
 //     }
 //   };
 //
-// and JSON, command-line flags, help and the saved record are all derived from it. Supported field types: bool,
-// int, Index, std::uint64_t, float, double, std::string, std::vector and std::array of those, and nested structs.
+// and JSON (core/fields_json.h), command-line flags, help and the saved record are all derived from
+// it. Supported field types: bool, int, Index, std::uint64_t, float, double, std::string,
+// std::vector and std::array of those, and nested structs, whose fields are named `model.base`.
 
+/// What is said about a field besides its name and type.
 struct Field {
   std::string help{};
   std::string unit{};
-  double min = -1e300, max = 1e300;        ///< inclusive range of every number in the field
-  std::vector<std::string> choices{};      ///< allowed strings, empty for any
+  double min = -1e300, max = 1e300;    ///< inclusive range of every number in the field
+  std::vector<std::string> choices{};  ///< allowed strings, empty for any
 };
+
+/// One row of the help and of the documentation.
+struct FieldInfo {
+  std::string name;   ///< dotted, as in `--model.base`
+  std::string type;   ///< e.g. `integer`, `bool`, `list of number`, `3 x number`
+  std::string value;  ///< as `set_field` reads it; the default where the struct is a fresh one
+  std::string range;  ///< e.g. `0 to 1`, `>= 1`, `l1 | l2`; empty if anything goes
+  std::string unit;
+  std::string help;
+  friend bool operator==(const FieldInfo&, const FieldInfo&) = default;
+};
+
+/// Where a field lives: a scalar, a list that may be resized, or a list of fixed length.
+template <class... E>
+using FieldTargetOf = std::variant<E*..., std::vector<E>*..., std::span<E>...>;
+using FieldTarget = FieldTargetOf<bool, int, Index, std::uint64_t, float, double, std::string>;
+
+/// One field of a live struct; valid as long as the struct is.
+struct FieldRef {
+  enum class Kind { boolean, integer, number, text };
+
+  std::string name;
+  Field meta;
+  FieldTarget target;
+
+  Kind kind() const;     ///< of the field, or of its elements
+  bool is_list() const;  ///< std::vector or std::array
+};
+
+namespace detail {
+
+template <class E>
+FieldTarget field_target(E& x) {
+  return &x;
+}
+template <class E, std::size_t N>
+FieldTarget field_target(std::array<E, N>& x) {
+  return std::span<E>(x);
+}
+
+/// Visitor that flattens a parameter struct into FieldRefs.
+struct FieldCollector {
+  std::string prefix;
+  std::vector<FieldRef>& out;
+
+  template <class X>
+  void operator()(const char* name, X& x, Field meta = {}) {
+    if constexpr (requires { X::fields(x, *this); }) {
+      X::fields(x, FieldCollector{prefix + name + '.', out});
+    } else {
+      out.push_back({prefix + name, std::move(meta), field_target(x)});
+    }
+  }
+};
+
+std::vector<FieldInfo> describe_refs(const std::vector<FieldRef>& fields);
+void set_ref(const std::vector<FieldRef>& fields, const std::string& name, const std::string& text,
+             const std::string& where);
+void check_refs(const std::vector<FieldRef>& fields, const std::string& where);
+/// Parses, checks and stores the elements of one field (a scalar is one element). `shown` is how
+/// the value appears in an error.
+void assign_field(const FieldRef& field, const std::vector<std::string>& elements,
+                  const std::string& shown, const std::string& where);
+[[noreturn]] void refuse_value(const FieldRef& field, const std::string& shown,
+                               const std::string& where);
+/// Names the nearest of `known`, or all of them if none is near.
+[[noreturn]] void refuse_unknown(const std::string& name, const std::vector<std::string>& known,
+                                 const std::string& where);
+
+}  // namespace detail
+
+/// A struct that declares its fields as above.
+template <class S>
+concept HasFields = requires(S& s, detail::FieldCollector& v) { S::fields(s, v); };
+
+/// The fields of `s` in the order of declaration, nested ones in place.
+template <HasFields S>
+std::vector<FieldRef> collect_fields(S& s) {
+  std::vector<FieldRef> out;
+  S::fields(s, detail::FieldCollector{"", out});
+  return out;
+}
+
+/// Names, types, values, ranges and help of all fields.
+template <HasFields S>
+std::vector<FieldInfo> describe(const S& s = {}) {
+  S copy = s;
+  return detail::describe_refs(collect_fields(copy));
+}
+
+/// Sets one field from text, as a command line gives it. Lists are separated by commas.
+/// throws ConfigError that begins with `where`; `s` is then unchanged
+template <HasFields S>
+void set_field(S& s, const std::string& dotted_name, const std::string& text,
+               const std::string& where = "option") {
+  detail::set_ref(collect_fields(s), dotted_name, text, where);
+}
+
+/// Checks that the values of a struct filled in by code lie in their ranges. throws ConfigError
+template <HasFields S>
+void check_fields(const S& s, const std::string& where) {
+  S copy = s;
+  detail::check_refs(collect_fields(copy), where);
+}
+
+/// The rows as a Markdown table, for the manual.
+std::string markdown_table(const std::vector<FieldInfo>& rows);
 
 }  // namespace satsurf

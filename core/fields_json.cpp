@@ -1,0 +1,180 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/fields_json.h"
+
+#include "satsurf/core/error.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <fstream>
+#include <iterator>
+#include <set>
+
+namespace satsurf {
+namespace {
+
+using nlohmann::json;
+
+constexpr int kMostNesting = 64;  // deeper than any file of ours; a document of brackets is refused
+
+/// `line 3, column 5` of a byte counted from 1, as the parser counts.
+std::string position(std::string_view text, std::size_t byte) {
+  const std::string_view before = text.substr(0, std::min(byte > 0 ? byte - 1 : 0, text.size()));
+  const auto line = 1 + std::count(before.begin(), before.end(), '\n');
+  const auto column = before.size() - (before.rfind('\n') + 1) + 1;  // npos + 1 is 0
+  return "line " + std::to_string(line) + ", column " + std::to_string(column);
+}
+
+/// The parser's own words without its prefix of exception number and place.
+std::string reason(const std::string& what) {
+  const std::size_t column = what.find("column ");
+  const std::size_t colon = what.find(": ", column == std::string::npos ? 0 : column);
+  return colon == std::string::npos ? what : what.substr(colon + 2);
+}
+
+bool kind_matches(FieldRef::Kind kind, const json& value) {
+  switch (kind) {
+    case FieldRef::Kind::boolean:
+      return value.is_boolean();
+    case FieldRef::Kind::integer:
+    case FieldRef::Kind::number:
+      return value.is_number();
+    case FieldRef::Kind::text:
+      return value.is_string();
+  }
+  return false;
+}
+
+std::string element_text(const json& value) {
+  return value.is_string() ? value.get<std::string>() : value.dump();
+}
+
+void assign(const FieldRef& field, const json& value, const std::string& where) {
+  const std::string shown = value.dump(-1, ' ', false, json::error_handler_t::replace);
+  std::vector<std::string> elements;
+  if (field.is_list() != value.is_array()) detail::refuse_value(field, shown, where);
+  const auto add = [&](const json& element) {
+    if (!kind_matches(field.kind(), element)) detail::refuse_value(field, shown, where);
+    elements.push_back(element_text(element));
+  };
+  if (field.is_list())
+    for (const json& element : value) add(element);
+  else
+    add(value);
+  detail::assign_field(field, elements, shown, where);
+}
+
+/// Reads the object of the fields whose names begin with `prefix` (empty, or ending in a dot).
+void read_object(const json& object, const std::string& prefix, const std::vector<FieldRef>& fields,
+                 const std::string& where) {
+  std::vector<std::string> known;  // keys of this level, in the order of declaration
+  for (const FieldRef& f : fields) {
+    if (!f.name.starts_with(prefix)) continue;
+    const std::string key = f.name.substr(0, f.name.find('.', prefix.size()));
+    if (known.empty() || known.back() != key) known.push_back(key);
+  }
+  if (!object.is_object()) {
+    const std::string name =
+        prefix.empty() ? "the configuration" : prefix.substr(0, prefix.size() - 1);
+    throw ConfigError(where + ": " + name + " is " + object.dump() + ", expected an object");
+  }
+  for (const auto& [key, value] : object.items()) {
+    const std::string name = prefix + key;
+    if (std::ranges::find(known, name) == known.end()) detail::refuse_unknown(name, known, where);
+    const auto field = std::ranges::find(fields, name, &FieldRef::name);
+    if (field != fields.end())
+      assign(*field, value, where);
+    else
+      read_object(value, name + '.', fields, where);
+  }
+}
+
+template <class E>
+json element_json(const E& value, const std::string& name) {
+  if constexpr (std::is_floating_point_v<E>) {
+    if (!std::isfinite(value))
+      throw ConfigError(name + ": " + std::to_string(value) + ", expected a finite number");
+    char buffer[64];  // 0.1f is saved as 0.1, not as 0.10000000149011612
+    const char* end = std::to_chars(buffer, buffer + sizeof buffer, value).ptr;
+    double d = 0;
+    std::from_chars(buffer, end, d);
+    return d;
+  } else {
+    return value;
+  }
+}
+
+/// The value of one field, whatever its form.
+struct ToJson {
+  const std::string& name;
+
+  template <class E>
+  json list(const E& values) const {
+    json out = json::array();
+    for (const auto& x : values) out.push_back(element_json(x, name));
+    return out;
+  }
+  template <class E>
+  json operator()(E* value) const {
+    return element_json(*value, name);
+  }
+  template <class E>
+  json operator()(std::vector<E>* values) const {
+    return list(*values);
+  }
+  json operator()(std::vector<bool>* values) const { return *values; }  // its elements are proxies
+  template <class E>
+  json operator()(std::span<E> values) const {
+    return list(values);
+  }
+};
+
+}  // namespace
+
+json parse_json(std::string_view text, const std::string& where) {
+  std::vector<std::set<std::string>> keys;  // seen so far, one set per open object or array
+  const auto check = [&](int depth, json::parse_event_t event, json& parsed) {
+    using Event = json::parse_event_t;
+    if (depth > kMostNesting)
+      throw IoError(where + ": nested deeper than " + std::to_string(kMostNesting) + " levels");
+    if (event == Event::object_start || event == Event::array_start) keys.emplace_back();
+    if (event == Event::object_end || event == Event::array_end) keys.pop_back();
+    if (event == Event::key && !keys.back().insert(parsed.get<std::string>()).second)
+      throw IoError(where + ": key " + parsed.dump() + " appears twice");
+    return true;
+  };
+  try {
+    return json::parse(text.begin(), text.end(), check);
+  } catch (const json::parse_error& e) {
+    throw IoError(where + ": " + position(text, e.byte) + ": " + reason(e.what()));
+  } catch (const json::exception& e) {  // a number out of range
+    throw IoError(where + ": " + reason(e.what()));
+  }
+}
+
+json load_json_file(const std::filesystem::path& path) {
+  std::ifstream in(path, std::ios::binary);
+  const std::string text{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+  if (!in.is_open() || in.bad() || std::filesystem::is_directory(path))
+    throw IoError(path.string() + ": cannot be read, expected a JSON file");
+  return parse_json(text, path.string());
+}
+
+json detail::refs_to_json(const std::vector<FieldRef>& fields) {
+  json root = json::object();
+  for (const FieldRef& f : fields) {
+    json* at = &root;
+    std::size_t begin = 0;
+    for (std::size_t dot; (dot = f.name.find('.', begin)) != std::string::npos; begin = dot + 1)
+      at = &(*at)[f.name.substr(begin, dot - begin)];
+    (*at)[f.name.substr(begin)] = std::visit(ToJson{f.name}, f.target);
+  }
+  return root;
+}
+
+void detail::refs_from_json(const json& value, const std::vector<FieldRef>& fields,
+                            const std::string& where) {
+  read_object(value, "", fields, where);
+}
+
+}  // namespace satsurf

@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/fields.h"
+
+#include <filesystem>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include <nlohmann/json.hpp>
+
+namespace satsurf {
+
+/// Parses one JSON document; stricter than the standard: a repeated key is an error, and so is
+/// nesting deeper than 64. throws IoError `where: line 3, column 5: ...`
+nlohmann::json parse_json(std::string_view text, const std::string& where);
+/// throws IoError that names the file, and the line where it is malformed
+nlohmann::json load_json_file(const std::filesystem::path& path);
+
+namespace detail {
+nlohmann::json refs_to_json(const std::vector<FieldRef>& fields);
+void refs_from_json(const nlohmann::json& json, const std::vector<FieldRef>& fields,
+                    const std::string& where);
+}  // namespace detail
+
+/// The fields as nested objects, in alphabetical order of their names.
+/// throws ConfigError for NaN and infinities, which JSON cannot hold
+template <HasFields S>
+nlohmann::json to_json(const S& s) {
+  S copy = s;
+  return detail::refs_to_json(collect_fields(copy));
+}
+
+/// Sets the fields that `json` names and leaves the others as they are.
+/// throws ConfigError that begins with `where` and names the field, what came and what was wanted;
+/// `s` is then unchanged
+template <HasFields S>
+void from_json(const nlohmann::json& json, S& s, const std::string& where) {
+  S copy = s;
+  detail::refs_from_json(json, collect_fields(copy), where);
+  s = std::move(copy);
+}
+
+}  // namespace satsurf
