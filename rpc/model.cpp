@@ -1,1 +1,140 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/rpc/model.h"
+
+#include "satsurf/core/error.h"
+
+#include <cmath>
+#include <sstream>
+
+namespace satsurf::rpc {
+namespace {
+
+using Cubic = std::array<double, 20>;
+
+double degrees_wrapped(double lon) { return lon - 360.0 * std::floor((lon + 180.0) / 360.0); }
+
+/// Monomials of the normalised latitude P, longitude L and height H in RPC00B order.
+/// Source: STDI-0002, volume 1, appendix E (RPC00A has another order).
+struct Monomials {
+  Cubic m, dP, dL, dH;
+
+  static Cubic values(double P, double L, double H) {
+    return {1,         L,         P,         H,         L * P,     L * H,     P * H,
+            L * L,     P * P,     H * H,     P * L * H, L * L * L, L * P * P, L * H * H,
+            L * L * P, P * P * P, P * H * H, L * L * H, P * P * H, H * H * H};
+  }
+
+  Monomials(double P, double L, double H)
+      : m(values(P, L, H)),
+        dP{0,     0, 1,         0, L,     0,         H,     0, 2 * P,     0,
+           L * H, 0, 2 * L * P, 0, L * L, 3 * P * P, H * H, 0, 2 * P * H, 0},
+        dL{0,     1,         0,     0,     P,         H, 0, 2 * L,     0, 0,
+           P * H, 3 * L * L, P * P, H * H, 2 * L * P, 0, 0, 2 * L * H, 0, 0},
+        dH{0,     0, 0, 1,         0, L, P,         0,     0,     2 * H,
+           P * L, 0, 0, 2 * L * H, 0, 0, 2 * P * H, L * L, P * P, 3 * H * H} {}
+};
+
+double dot(const Cubic& a, const Cubic& b) {
+  double sum = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
+  return sum;
+}
+
+struct Normalised {
+  double P, L, H;
+  Normalised(const Rpc& r, const Geodetic& p)
+      : P((p.lat - r.lat_off) / r.lat_scale),
+        // The shorter way round, so that a scene may lie across the antimeridian.
+        L(degrees_wrapped(p.lon - r.lon_off) / r.lon_scale),
+        H((p.h - r.height_off) / r.height_scale) {}
+};
+
+struct Linearised {
+  Pixel pixel;
+  std::array<std::array<double, 3>, 2> jacobian;
+};
+
+Linearised linearise(const Rpc& r, const Geodetic& p) {
+  const Normalised q(r, p);
+  const Monomials m(q.P, q.L, q.H);
+  Linearised out{};
+  const auto row = [&](const Cubic& num, const Cubic& den, double scale) {
+    const double D = dot(den, m.m), f = dot(num, m.m) / D;
+    // f = N / D:  df/dq = (dN/dq - f dD/dq) / D
+    const auto slope = [&](const Cubic& dm) {
+      return scale * (dot(num, dm) - f * dot(den, dm)) / D;
+    };
+    const std::array<double, 3> j{slope(m.dL) / r.lon_scale, slope(m.dP) / r.lat_scale,
+                                  slope(m.dH) / r.height_scale};
+    return std::pair{scale * f, j};
+  };
+  const auto [x, jx] = row(r.samp_num, r.samp_den, r.samp_scale);
+  const auto [y, jy] = row(r.line_num, r.line_den, r.line_scale);
+  out.pixel = {x + r.samp_off, y + r.line_off};
+  out.jacobian = {jx, jy};
+  return out;
+}
+
+}  // namespace
+
+Pixel Rpc::project(const Geodetic& p) const {
+  const Normalised q(*this, p);
+  const Cubic m = Monomials::values(q.P, q.L, q.H);
+  return {samp_scale * dot(samp_num, m) / dot(samp_den, m) + samp_off,
+          line_scale * dot(line_num, m) / dot(line_den, m) + line_off};
+}
+
+std::array<std::array<double, 3>, 2> Rpc::jacobian(const Geodetic& p) const {
+  return linearise(*this, p).jacobian;
+}
+
+Geodetic Rpc::localize(const Pixel& pixel, double h) const {
+  constexpr int kSteps = 4;            // three reach 1e-9 px from 13000 px away; one in reserve
+  constexpr double kTolerance = 1e-3;  // px
+  Geodetic p{lon_off, lat_off, h};
+  for (int step = 0; step < kSteps; ++step) {
+    const Linearised at = linearise(*this, p);
+    const double dx = pixel.x - at.pixel.x, dy = pixel.y - at.pixel.y;
+    const auto& [jx, jy] = at.jacobian;
+    const double det = jx[0] * jy[1] - jx[1] * jy[0];
+    p.lon += (jy[1] * dx - jx[1] * dy) / det;
+    p.lat += (jx[0] * dy - jy[0] * dx) / det;
+  }
+  const Pixel back = project(p);
+  const double residual = std::hypot(back.x - pixel.x, back.y - pixel.y);
+  if (!(residual <= kTolerance)) {
+    std::ostringstream text;
+    text << "Rpc::localize: residual " << residual << " px after " << kSteps
+         << " Newton steps for pixel (" << pixel.x << ", " << pixel.y << ") at height " << h
+         << " m, wanted at most " << kTolerance
+         << " px; the pixel or the height may lie outside the camera's range";
+    throw Error(text.str());
+  }
+  p.lon = degrees_wrapped(p.lon);
+  return p;
+}
+
+std::array<double, 2> Rpc::ray_slope(const Geodetic& p) const {
+  // The pixel stays fixed along the ray:  J_(lon,lat) d(lon,lat)/dh + J_h = 0
+  const auto [jx, jy] = jacobian(p);
+  const double det = jx[0] * jy[1] - jx[1] * jy[0];
+  return {-(jy[1] * jx[2] - jx[1] * jy[2]) / det, -(jx[0] * jy[2] - jy[0] * jx[2]) / det};
+}
+
+Rpc Rpc::cropped(double x0, double y0) const {
+  Rpc r = *this;
+  r.samp_off -= x0;
+  r.line_off -= y0;
+  return r;
+}
+
+Rpc Rpc::resized(double factor) const {
+  Rpc r = *this;
+  r.samp_off = (samp_off + 0.5) * factor - 0.5;
+  r.line_off = (line_off + 0.5) * factor - 0.5;
+  r.samp_scale *= factor;
+  r.line_scale *= factor;
+  return r;
+}
+
+}  // namespace satsurf::rpc

@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/rpc/model.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <doctest/doctest.h>
+#include <gdal_alg.h>
+#include <nlohmann/json.hpp>
+
+namespace satsurf::test {
+
+/// Folder of real images and cameras, which the repository does not contain: SATSURF_DATA, or
+/// ../shared/data beside the sources. Empty, with a message, where there is none.
+inline std::filesystem::path data_folder() {
+  const char* named = std::getenv("SATSURF_DATA");
+  const std::filesystem::path folder =
+      named ? named : std::filesystem::path(__FILE__).parent_path() / "../../../shared/data";
+  if (std::filesystem::is_directory(folder / "rpc_library"))
+    return std::filesystem::weakly_canonical(folder);
+  MESSAGE("SKIPPED: no real data at ", folder.string(), " (set SATSURF_DATA)");
+  return {};
+}
+
+/// A made-up camera of the general build of a vendor's: 0.5 m pixels seen `tilt` m of ground per
+/// metre of height aside, 20000 px wide, with cubic terms and denominators of realistic size.
+inline rpc::Rpc synthetic_rpc(double lon = 12.3, double lat = 45.1, double tilt_x = 0.3,
+                              double tilt_y = -0.2) {
+  rpc::Rpc r;
+  r.line_off = 9999.5, r.samp_off = 10000.5, r.line_scale = 10000, r.samp_scale = 10001;
+  r.lat_off = lat, r.lon_off = lon, r.height_off = 120;
+  r.lat_scale = 0.045, r.lon_scale = 0.045 / std::cos(lat * 0.017453292519943295);
+  r.height_scale = 500;
+  // One unit of normalised height moves the image by 500 m x tilt / 0.5 m px, in units of the
+  // scale.
+  r.samp_num = {0.002, 0.998, 0.03, 0.1 * tilt_x, 2e-4, -3e-5, 1e-5, 4e-4, -2e-4, 3e-7};
+  r.line_num = {-0.003, 0.028, -1.001, 0.1 * tilt_y, -3e-4, 2e-5, 4e-5, 1e-4, 3e-4, -2e-7};
+  r.samp_den = {1, 3e-4, 5e-4, -2e-5, 1e-5, 0, 0, -2e-6, 3e-6, 0};
+  r.line_den = {1, -2e-4, 4e-4, 1e-5, -1e-5, 0, 0, 1e-6, -4e-6, 0};
+  for (std::size_t i = 10; i < 20; ++i) {
+    const double s = i % 2 == 0 ? 1 : -1;
+    r.samp_num[i] = s * 1e-6 * static_cast<double>(i - 8);
+    r.line_num[i] = -s * 1e-6 * static_cast<double>(i - 7);
+    r.samp_den[i] = s * 1e-8;
+    r.line_den[i] = s * 2e-8;
+  }
+  return r;
+}
+
+/// The layout used by the Python package rpcm.
+inline rpc::Rpc rpc_from_json(const nlohmann::json& j) {
+  rpc::Rpc r;
+  r.line_off = j.at("row_offset"), r.line_scale = j.at("row_scale");
+  r.samp_off = j.at("col_offset"), r.samp_scale = j.at("col_scale");
+  r.lat_off = j.at("lat_offset"), r.lat_scale = j.at("lat_scale");
+  r.lon_off = j.at("lon_offset"), r.lon_scale = j.at("lon_scale");
+  r.height_off = j.at("alt_offset"), r.height_scale = j.at("alt_scale");
+  r.line_num = j.at("row_num"), r.line_den = j.at("row_den");
+  r.samp_num = j.at("col_num"), r.samp_den = j.at("col_den");
+  return r;
+}
+
+struct NamedRpc {
+  std::string name;
+  rpc::Rpc rpc;
+};
+
+/// Every camera of rpc_library whose file name begins with `prefix`.
+inline std::vector<NamedRpc> library(const std::filesystem::path& data,
+                                     const std::string& prefix = "") {
+  std::vector<std::filesystem::path> files;
+  for (const auto& entry : std::filesystem::directory_iterator(data / "rpc_library"))
+    if (entry.path().filename().string().starts_with(prefix)) files.push_back(entry.path());
+  std::sort(files.begin(), files.end());
+  std::vector<NamedRpc> out;
+  const std::function<void(const std::string&, const nlohmann::json&)> collect =
+      [&](const std::string& name, const nlohmann::json& j) {
+        if (j.contains("row_offset")) return out.push_back({name, rpc_from_json(j)});
+        for (const auto& [key, entry] : j.items()) collect(name + "/" + key, entry);
+      };
+  for (const auto& file : files)
+    collect(file.stem().string(), nlohmann::json::parse(std::ifstream(file)));
+  return out;
+}
+
+inline GDALRPCInfoV2 gdal_info(const rpc::Rpc& r) {
+  GDALRPCInfoV2 g{};
+  g.dfLINE_OFF = r.line_off, g.dfLINE_SCALE = r.line_scale;
+  g.dfSAMP_OFF = r.samp_off, g.dfSAMP_SCALE = r.samp_scale;
+  g.dfLAT_OFF = r.lat_off, g.dfLAT_SCALE = r.lat_scale;
+  g.dfLONG_OFF = r.lon_off, g.dfLONG_SCALE = r.lon_scale;
+  g.dfHEIGHT_OFF = r.height_off, g.dfHEIGHT_SCALE = r.height_scale;
+  std::copy(r.line_num.begin(), r.line_num.end(), g.adfLINE_NUM_COEFF);
+  std::copy(r.line_den.begin(), r.line_den.end(), g.adfLINE_DEN_COEFF);
+  std::copy(r.samp_num.begin(), r.samp_num.end(), g.adfSAMP_NUM_COEFF);
+  std::copy(r.samp_den.begin(), r.samp_den.end(), g.adfSAMP_DEN_COEFF);
+  g.dfMIN_LONG = -180, g.dfMIN_LAT = -90, g.dfMAX_LONG = 180, g.dfMAX_LAT = 90;
+  return g;
+}
+
+/// GDAL's RPC transformer, brought to our pixel origin (GDAL's is the corner of the first pixel).
+class GdalRpc {
+ public:
+  explicit GdalRpc(const rpc::Rpc& r) {
+    const GDALRPCInfoV2 info = gdal_info(r);
+    handle_ = GDALCreateRPCTransformerV2(&info, FALSE, 1e-4, nullptr);
+    REQUIRE(handle_ != nullptr);
+  }
+  ~GdalRpc() { GDALDestroyRPCTransformer(handle_); }
+  GdalRpc(const GdalRpc&) = delete;
+  GdalRpc& operator=(const GdalRpc&) = delete;
+
+  rpc::Pixel project(const rpc::Geodetic& p) const {
+    double x = p.lon, y = p.lat, z = p.h;
+    int ok = 0;
+    REQUIRE(GDALRPCTransform(handle_, TRUE, 1, &x, &y, &z, &ok));
+    REQUIRE(ok);
+    return {x - 0.5, y - 0.5};
+  }
+
+ private:
+  void* handle_ = nullptr;
+};
+
+}  // namespace satsurf::test
