@@ -124,7 +124,7 @@ std::vector<FieldRef> collect_fields(S& s) {
 
 /// Names, types, values, ranges and help of all fields.
 template <HasFields S>
-std::vector<FieldInfo> describe(const S& s = {}) {
+std::vector<FieldInfo> describe(const S& s = S()) {
   S copy = s;
   return detail::describe_refs(collect_fields(copy));
 }

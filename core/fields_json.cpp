@@ -9,6 +9,7 @@
 #include <fstream>
 #include <iterator>
 #include <set>
+#include <system_error>
 
 namespace satsurf {
 namespace {
@@ -153,10 +154,11 @@ json parse_json(std::string_view text, const std::string& where) {
 }
 
 json load_json_file(const std::filesystem::path& path) {
+  std::error_code ignored;
   std::ifstream in(path, std::ios::binary);
-  const std::string text{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-  if (!in.is_open() || in.bad() || std::filesystem::is_directory(path))
+  if (!in.is_open() || std::filesystem::is_directory(path, ignored))
     throw IoError(path.string() + ": cannot be read, expected a JSON file");
+  const std::string text{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
   return parse_json(text, path.string());
 }
 

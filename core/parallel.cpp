@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
 
+#include <tbb/info.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
+#include <algorithm>
 #include <memory>
 #include <mutex>
 
@@ -22,7 +24,9 @@ std::shared_ptr<tbb::task_arena> current_arena() {
 
 void set_threads(int threads) {
   const std::lock_guard lock(arena_mutex);
-  arena = threads > 0 ? std::make_shared<tbb::task_arena>(threads) : nullptr;
+  // TBB has no more workers than cores and would complain about a larger request.
+  const int most = tbb::info::default_concurrency();
+  arena = threads > 0 ? std::make_shared<tbb::task_arena>(std::min(threads, most)) : nullptr;
 }
 
 int threads() {

@@ -8,7 +8,7 @@
 
 namespace satsurf {
 
-/// Caps the threads of every loop below; 0 restores all cores. The only global state of the engine.
+/// Caps the threads of every loop below; 0, or more than there are cores, means all cores. The only global state of the engine.
 /// Results never depend on it: loops are cut into the same pieces whatever runs them.
 void set_threads(int threads);
 /// Threads in use now (the cap, or what the caller's TBB arena offers).
@@ -40,6 +40,7 @@ void for_each_index(Index n, const Body& body) {
 /// value, and the values are added in order.
 template <class Value, class Part>
 Value ordered_reduce(Index n, Index grain, Value init, const Part& part) {
+  if (n <= 0) return init;
   const Index g = grain < 1 ? 1 : grain, pieces = (n + g - 1) / g;
   std::vector<Value> partial(static_cast<std::size_t>(pieces));
   for_range(n, g, [&](Index begin, Index end) { partial[static_cast<std::size_t>(begin / g)] = part(begin, end); });

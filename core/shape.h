@@ -21,7 +21,7 @@ class Shape {
   static constexpr Index kMaxRank = 5;  // view or batch, channel, hypothesis, row, column
 
   Shape() = default;
-  /// throws ShapeError if the rank exceeds 5 or an extent is negative
+  /// throws ShapeError if the rank exceeds 5, an extent is negative, or there are too many elements
   Shape(std::initializer_list<Index> extents) : Shape(std::span(extents.begin(), extents.size())) {}
   explicit Shape(std::span<const Index> extents);
 

@@ -144,8 +144,8 @@ BasicTensor<T> BasicTensor<T>::clone() const {
 
 template <class T>
 BasicTensor<T> BasicTensor<T>::reshaped(const Shape& shape) const {
-  if (shape.count() != shape_.count())
-    throw ShapeError("Tensor::reshaped: from " + shape_.str() + " to " + shape.str() + ", expected equal counts");
+  if (empty() || shape.count() != shape_.count())
+    throw ShapeError("Tensor::reshaped: from " + (empty() ? "empty" : shape_.str()) + " to " + shape.str() + ", expected equal counts");
   BasicTensor t = *this;
   t.shape_ = shape;
   return t;

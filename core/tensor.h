@@ -21,7 +21,9 @@ class BasicTensor {
   BasicTensor(const Shape& shape, T fill);
   /// Elements are indeterminate; for outputs of which every element gets written.
   static BasicTensor uninitialised(const Shape& shape);
-  static BasicTensor zeros_like(const BasicTensor& other) { return BasicTensor(other.shape()); }
+  static BasicTensor zeros_like(const BasicTensor& other) {
+    return other.empty() ? BasicTensor() : BasicTensor(other.shape());
+  }
   /// throws ShapeError if the number of values is not the shape's
   static BasicTensor from(const Shape& shape, std::span<const T> values);
   static BasicTensor from(const Shape& shape, std::initializer_list<T> values) {
@@ -51,6 +53,7 @@ class BasicTensor {
   BasicTensor slice0(Index i) const;
   template <class U>
   BasicTensor<U> cast() const {
+    if (empty()) return {};
     auto out = BasicTensor<U>::uninitialised(shape_);
     for (Index i = 0; i < count(); ++i) out[i] = static_cast<U>((*this)[i]);
     return out;
