@@ -1,1 +1,35 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/nn/cost_net.h"
+
+#include "satsurf/ops/concat.h"
+#include "satsurf/ops/elementwise.h"
+
+namespace satsurf::nn {
+
+template <class T>
+CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base, Index levels)
+    : first_(p, name + ".first", channels, base, 1) {
+  for (Index l = 0; l < levels; ++l) {
+    const std::string level = name + ".level" + std::to_string(l + 1);
+    const Index c = base << l;
+    levels_.push_back(Level{ConvNorm3d<T>(p, level + ".down", c, 2 * c, 2),
+                            ConvNorm3d<T>(p, level + ".same", 2 * c, 2 * c, 1),
+                            UpNorm3d<T>(p, level + ".up", 2 * c, c)});
+  }
+  last_ = p.create(name + ".logit.weight", {1, base, 3, 3, 3}, Init::kaiming(base * 27), true);
+}
+
+template <class T>
+BasicVar<T> CostNet<T>::operator()(const BasicVar<T>& volume) const {
+  const Index C = volume.dim(0), D = volume.dim(1), H = volume.dim(2), W = volume.dim(3);
+  std::vector<BasicVar<T>> skips{first_(reshape(volume, Shape{1, C, D, H, W}))};
+  for (const Level& l : levels_) skips.push_back(l.same(l.down(skips.back())));
+  BasicVar<T> x = skips.back();
+  for (std::size_t l = levels_.size(); l-- > 0;) x = skips[l] + levels_[l].up(x);
+  return reshape(conv3d(x, last_, {}, {.padding = {1, 1, 1}}), Shape{1, D, H, W});
+}
+
+template class CostNet<float>;
+template class CostNet<double>;
+
+}  // namespace satsurf::nn

@@ -1,1 +1,214 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/nn/model.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "satsurf/core/parallel.h"
+#include "satsurf/nn/cost_net.h"
+#include "satsurf/nn/feature_net.h"
+#include "satsurf/nn/hypotheses.h"
+#include "satsurf/nn/surfel_head.h"
+#include "satsurf/ops/concat.h"
+#include "satsurf/ops/cost_volume.h"
+#include "satsurf/ops/resize.h"
+#include "satsurf/ops/softmax.h"
+
+namespace satsurf::nn {
+namespace {
+
+constexpr std::array<Index, 3> kStrides{4, 2, 1};
+
+/// Each image by its own mean and deviation over valid pixels: dates differ in radiometry. Invalid pixels become 0.
+template <class T>
+BasicTensor<T> standardised(const std::vector<View>& views) {
+  const Index N = static_cast<Index>(views.size()), H = views[0].rgb.dim(1), W = views[0].rgb.dim(2), P = H * W;
+  auto out = BasicTensor<T>::uninitialised({N, 3, H, W});
+  for_each_index(N, [&](Index n) {
+    const View& v = views[static_cast<std::size_t>(n)];
+    double sum = 0, squares = 0, count = 0;
+    for (Index c = 0; c < 3; ++c)
+      for (Index i = 0; i < P; ++i) {
+        const double x = static_cast<double>(v.rgb[c * P + i]);
+        if (v.valid[i] <= 0) continue;
+        sum += x;
+        squares += x * x;
+        count += 1;
+      }
+    const double mean = count > 0 ? sum / count : 0;
+    const double variance = count > 0 ? std::max(squares / count - mean * mean, 0.0) : 0;
+    constexpr double kFlat = 1e-3;  // an image without contrast stays near zero instead of amplifying its noise
+    const double inverse = 1 / (std::sqrt(variance) + kFlat);
+    for (Index c = 0; c < 3; ++c)
+      for (Index i = 0; i < P; ++i)
+        out[(n * 3 + c) * P + i] =
+            v.valid[i] > 0 ? static_cast<T>((static_cast<double>(v.rgb[c * P + i]) - mean) * inverse) : T(0);
+  });
+  return out;
+}
+
+/// One tensor [N ...] of a plane stack of every view.
+template <class T>
+BasicTensor<T> stacked(const std::vector<View>& views, const Tensor View::*member) {
+  const Shape& one = (views[0].*member).shape();
+  std::vector<Index> extents{static_cast<Index>(views.size())};
+  extents.insert(extents.end(), one.extents().begin(), one.extents().end());
+  auto out = BasicTensor<T>::uninitialised(Shape(std::span<const Index>(extents)));
+  for (std::size_t n = 0; n < views.size(); ++n)
+    for (Index i = 0; i < one.count(); ++i)
+      out[static_cast<Index>(n) * one.count() + i] = static_cast<T>((views[n].*member)[i]);
+  return out;
+}
+
+void check(const ModelConfig& config, const SceneInput& scene) {
+  const std::size_t N = scene.sources.size();
+  if (N < 2) throw ShapeError("model: " + std::to_string(N) + " source views, expected two or more");
+  const Shape& first = scene.sources[0].rgb.shape();
+  const Index multiple = size_multiple(config);
+  for (const View& v : scene.sources) {
+    if (v.rgb.shape() != first || first.rank() != 3 || first[0] != 3)
+      throw ShapeError("model: a view has shape " + v.rgb.shape().str() + ", expected [3 H W], the same for all");
+    if (v.valid.shape() != Shape{first[1], first[2]})
+      throw ShapeError("model: a validity mask has shape " + v.valid.shape().str() + ", expected [H W] of its view");
+  }
+  if (first[1] % multiple != 0 || first[2] % multiple != 0)
+    throw ShapeError("model: views are " + first.str() + ", expected multiples of " + std::to_string(multiple));
+  if (scene.transfer.size() != N || std::any_of(scene.transfer.begin(), scene.transfer.end(),
+                                                [N](const auto& row) { return row.size() != N; }))
+    throw ShapeError("model: expected a pixel transfer for every pair of views");
+  if (!(scene.z_high > scene.z_low))
+    throw ConfigError("model: height range " + std::to_string(scene.z_low) + " to " + std::to_string(scene.z_high) +
+                      ", expected a positive span");
+}
+
+}  // namespace
+
+template <class T>
+struct BasicModel<T>::Parts {
+  /// The parameters of one stage.
+  struct Stage {
+    CostNet<T> cost;
+    SurfelHead<T> head;
+  };
+
+  Parts(const ModelConfig& c, std::uint64_t seed) : config(c), parameters(seed), features(parameters, c.base) {
+    for (std::size_t s = 0; s < 3; ++s) {
+      const std::string name = "stage" + std::to_string(s + 1);
+      const Index channels = config.base * kStrides[s], head_in = 3 + channels + config.hypotheses[s] + 1;
+      stages.push_back({CostNet<T>(parameters, name + ".cost", channels, config.volume_base, config.volume_levels),
+                        SurfelHead<T>(parameters, name + ".head", head_in, config.head_width[s])});
+    }
+  }
+
+  ModelConfig config;
+  ParameterSet<T> parameters;
+  FeatureNet<T> features;
+  std::vector<Stage> stages;
+};
+
+template <class T>
+BasicModel<T>::BasicModel(const ModelConfig& config, std::uint64_t seed) {
+  const Index halved = Index{1} << config.volume_levels;
+  for (const Index d : config.hypotheses)
+    if (d % halved != 0)
+      throw ConfigError("model: " + std::to_string(d) + " hypotheses, expected a multiple of " +
+                        std::to_string(halved) + " (volume_levels = " + std::to_string(config.volume_levels) + ")");
+  parts_ = std::make_unique<Parts>(config, seed);
+}
+
+template <class T>
+BasicModel<T>::~BasicModel() = default;
+template <class T>
+BasicModel<T>::BasicModel(BasicModel&&) noexcept = default;
+template <class T>
+BasicModel<T>& BasicModel<T>::operator=(BasicModel&&) noexcept = default;
+template <class T>
+const ModelConfig& BasicModel<T>::config() const {
+  return parts_->config;
+}
+template <class T>
+ParameterSet<T>& BasicModel<T>::parameters() {
+  return parts_->parameters;
+}
+template <class T>
+const ParameterSet<T>& BasicModel<T>::parameters() const {
+  return parts_->parameters;
+}
+
+template <class T>
+std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) const {
+  const ModelConfig& config = parts_->config;
+  check(config, scene);
+  const std::size_t N = scene.sources.size();
+  const Index views = static_cast<Index>(N), H = scene.sources[0].rgb.dim(1), W = scene.sources[0].rgb.dim(2);
+  const std::array<double, 3> intervals = hypothesis_intervals(config, scene);
+  const double z_mid = 0.5 * (scene.z_low + scene.z_high);
+
+  const auto pyramid = parts_->features(BasicVar<T>(standardised<T>(scene.sources)));
+  const BasicVar<T> images(stacked<T>(scene.sources, &View::rgb));
+  const BasicVar<T> valid(stacked<T>(scene.sources, &View::valid));
+
+  std::array<StageOutput<T>, 3> out;
+  for (std::size_t s = 0; s < 3; ++s) {
+    const Index stride = kStrides[s], h = H / stride, w = W / stride, D = config.hypotheses[s];
+    StageOutput<T>& stage = out[s];
+    stage.stride = stride;
+    stage.interval = intervals[s];
+
+    // 1. Which heights to try: the whole range first, then a narrow band around the previous stage's surface.
+    if (s == 0) {
+      stage.hypotheses = uniform_hypotheses<T>(scene.z_low, scene.z_high, views, D, h, w);
+    } else {
+      const NoGrad no_grad;
+      const BasicVar<T> centre = resize_bilinear(out[s - 1].height.detach(), h, w);
+      const double margin = 2 * intervals[s];  // a surface at the very edge of the range stays inside the band
+      stage.hypotheses = narrowed_hypotheses(centre.value(), intervals[s], D, scene.z_low - margin,
+                                             scene.z_high + margin);
+    }
+
+    // 2. Every view in turn is the reference: variance volume, regularisation, logits.
+    const BasicTensor<T> seen = area_downsample(valid, stride).value();
+    std::vector<BasicVar<T>> logits;
+    for (std::size_t i = 0; i < N; ++i) {
+      std::vector<Quadratic> maps;
+      for (std::size_t j = 0; j < N; ++j)
+        maps.push_back(rescale_pixels(scene.transfer[i][j], static_cast<double>(stride), static_cast<double>(stride)));
+      const BasicVar<T> volume =
+          plane_sweep_variance(pyramid[s], static_cast<Index>(i), maps, stage.hypotheses.slice0(static_cast<Index>(i)),
+                               seen, config.variance_includes_reference);
+      logits.push_back(parts_->stages[s].cost(volume));
+    }
+
+    // 3. Heights and confidence.
+    stage.probability = softmax_hypotheses(concat(logits, 0));
+    stage.height = expected_height(stage.probability, stage.hypotheses);
+    stage.confidence = max_probability(stage.probability);
+
+    // 4. One surfel per pixel.
+    const BasicVar<T> image = stride == 1 ? images : area_downsample(images, stride);
+    const BasicVar<T> head_input =
+        concat<T>({image, pyramid[s], stage.probability, reshape(stage.confidence, Shape{views, 1, h, w})}, 1);
+    std::vector<PixelGeometry> geometry;
+    for (const View& v : scene.sources) geometry.push_back(pixel_geometry(v, z_mid, stride));
+    stage.surfels = surfels_from_maps(parts_->stages[s].head(head_input), stage.height, image.value(),
+                                      stage.confidence, geometry, config.rotation == "camera+residual");
+  }
+  return out;
+}
+
+template <class T>
+splat::BasicRender<T> render_view(const splat::BasicSurfels<T>& surfels, const Quadratic& pixel_from_local,
+                                  Index height, Index width, Index stride) {
+  const auto projection =
+      splat::project(surfels.means.value(), rescale_pixels(pixel_from_local, 1, static_cast<double>(stride)));
+  return splat::rasterize(surfels, projection, {.height = height / stride, .width = width / stride});
+}
+
+template class BasicModel<float>;
+template class BasicModel<double>;
+template splat::BasicRender<float> render_view(const splat::BasicSurfels<float>&, const Quadratic&, Index, Index,
+                                               Index);
+template splat::BasicRender<double> render_view(const splat::BasicSurfels<double>&, const Quadratic&, Index, Index,
+                                                Index);
+
+}  // namespace satsurf::nn

@@ -1,1 +1,87 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/nn/module.h"
+
+#include <cmath>
+#include <set>
+
+#include "satsurf/core/rng.h"
+
+namespace satsurf::nn {
+namespace {
+
+/// FNV-1a: ties a parameter's random stream to its name.
+std::uint64_t hash_of(const std::string& name) {
+  std::uint64_t h = 0xcbf29ce484222325;
+  for (const char c : name) h = (h ^ static_cast<unsigned char>(c)) * 0x100000001b3;
+  return h;
+}
+
+void append_some(std::string& text, const char* what, const std::vector<std::string>& names) {
+  if (names.empty()) return;
+  text += "; ";
+  text += what;
+  constexpr std::size_t kShown = 3;
+  for (std::size_t i = 0; i < names.size() && i < kShown; ++i) text += (i > 0 ? ", " : " ") + names[i];
+  if (names.size() > kShown) text += " and " + std::to_string(names.size() - kShown) + " more";
+}
+
+}  // namespace
+
+template <class T>
+BasicVar<T> ParameterSet<T>::create(const std::string& name, const Shape& shape, const Init& init, bool decays) {
+  for (const Entry& e : entries_)
+    if (e.name == name) throw Error("ParameterSet: parameter " + name + " exists already");
+  BasicTensor<T> value(shape, static_cast<T>(init.value));
+  if (init.kind == Init::Kind::kaiming) {
+    Rng rng(seed_, hash_of(name));
+    const double sigma = std::sqrt(2.0 / static_cast<double>(init.fan_in));
+    for (T& v : value.values()) v = static_cast<T>(sigma * rng.normal());
+  }
+  return entries_.emplace_back(Entry{name, BasicVar<T>(std::move(value), true), decays}).var;
+}
+
+template <class T>
+Index ParameterSet<T>::count() const {
+  Index n = 0;
+  for (const Entry& e : entries_) n += e.var.count();
+  return n;
+}
+
+template <class T>
+void ParameterSet<T>::clear_grads() {
+  for (Entry& e : entries_) e.var.clear_grad();
+}
+
+template <class T>
+void ParameterSet<T>::store(TensorFile& file, const std::string& prefix) const {
+  for (const Entry& e : entries_) file.tensors[prefix + e.name] = e.var.value().template cast<float>();
+}
+
+template <class T>
+void ParameterSet<T>::load(const TensorFile& file, const std::string& prefix, const std::string& where) {
+  std::vector<std::string> missing, misshaped, extra;
+  std::set<std::string> known;
+  for (const Entry& e : entries_) {
+    known.insert(prefix + e.name);
+    const auto it = file.tensors.find(prefix + e.name);
+    if (it == file.tensors.end())
+      missing.push_back(e.name);
+    else if (it->second.shape() != e.var.shape())
+      misshaped.push_back(e.name + " (" + it->second.shape().str() + ", expected " + e.var.shape().str() + ")");
+  }
+  for (const auto& [name, tensor] : file.tensors)
+    if (name.starts_with(prefix) && !known.contains(name)) extra.push_back(name.substr(prefix.size()));
+  if (!missing.empty() || !misshaped.empty() || !extra.empty()) {
+    std::string text = where + ": these parameters do not fit the model";
+    append_some(text, "missing", missing);
+    append_some(text, "of another shape", misshaped);
+    append_some(text, "not in the model", extra);
+    throw IoError(text);
+  }
+  for (Entry& e : entries_) e.var.mutable_value() = file.tensors.at(prefix + e.name).template cast<T>();
+}
+
+template class ParameterSet<float>;
+template class ParameterSet<double>;
+
+}  // namespace satsurf::nn

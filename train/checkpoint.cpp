@@ -1,1 +1,44 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <nlohmann/json.hpp>
+
+#include "satsurf/core/fields_json.h"
+#include "satsurf/train/trainer.h"
+
+namespace satsurf::train {
+namespace {
+
+constexpr const char* kFormat = "satsurf-1";
+constexpr const char* kPrefix = "model.";
+
+}  // namespace
+
+void store_model(TensorFile& file, const nn::Model& model) {
+  file.metadata["format"] = kFormat;
+  file.metadata["model"] = to_json(model.config()).dump();
+  model.parameters().store(file, kPrefix);
+}
+
+nn::Model model_from(const TensorFile& file, const std::string& where) {
+  const auto format = file.metadata.find("format"), config = file.metadata.find("model");
+  if (format == file.metadata.end() || format->second != kFormat || config == file.metadata.end())
+    throw IoError(where + ": not a satsurf model, expected metadata format = " + kFormat + " and its configuration");
+  nn::ModelConfig c;
+  try {
+    from_json(parse_json(config->second, where), c, where);
+  } catch (const ConfigError& e) {
+    throw IoError(e.what());
+  }
+  nn::Model model(c, 0);
+  model.parameters().load(file, kPrefix, where);
+  return model;
+}
+
+nn::Model load_model(const std::filesystem::path& path) { return model_from(load_safetensors(path), path.string()); }
+
+void save_model(const std::filesystem::path& path, const nn::Model& model) {
+  TensorFile file;
+  store_model(file, model);
+  save_safetensors(path, file);
+}
+
+}  // namespace satsurf::train

@@ -1,1 +1,154 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cmath>
+
+#include "satsurf/core/parallel.h"
+#include "satsurf/ops/resize.h"
+#include "satsurf/train/reconstruct.h"
+
+namespace satsurf::train {
+namespace {
+
+constexpr Index kCoarse = 256;        // px, side of the images of the sweep
+constexpr Index kRadius = 3;          // px, half a correlation window
+constexpr double kAgreement = 0.75;   // correlation from which a match counts
+constexpr double kMargin = 15;        // m, added to the percentiles: roofs and gullies smaller than a coarse window
+constexpr Index kFewest = 100;        // matches that make a range believable
+
+/// Luminance at coarse resolution.
+struct Coarse {
+  Tensor grey, valid;  // [h w]
+  Index factor = 1;
+};
+
+Coarse coarse_of(const SceneView& view, Index factor) {
+  const Index h = view.rgb.dim(1) / factor * factor, w = view.rgb.dim(2) / factor * factor;
+  Tensor grey({h, w}), valid({h, w});
+  const Index P = view.valid.count(), W = view.rgb.dim(2);
+  for (Index y = 0; y < h; ++y)
+    for (Index x = 0; x < w; ++x) {
+      const Index i = y * W + x;
+      grey[y * w + x] = (view.rgb[i] + view.rgb[P + i] + view.rgb[2 * P + i]) / 3;
+      valid[y * w + x] = view.valid[i];
+    }
+  return {area_downsample(Var(grey), factor).value(), area_downsample(Var(valid), factor).value(), factor};
+}
+
+/// Sums over (2 r + 1)^2 windows by running sums; windows are cut at the border.
+Tensor box_sum(const Tensor& t) {
+  const Index H = t.dim(0), W = t.dim(1);
+  std::vector<double> integral(static_cast<std::size_t>((H + 1) * (W + 1)), 0);
+  const auto at = [&](Index y, Index x) -> double& { return integral[static_cast<std::size_t>(y * (W + 1) + x)]; };
+  for (Index y = 0; y < H; ++y)
+    for (Index x = 0; x < W; ++x)
+      at(y + 1, x + 1) = static_cast<double>(t[y * W + x]) + at(y, x + 1) + at(y + 1, x) - at(y, x);
+  auto out = Tensor::uninitialised(t.shape());
+  for (Index y = 0; y < H; ++y)
+    for (Index x = 0; x < W; ++x) {
+      const Index y0 = std::max<Index>(0, y - kRadius), y1 = std::min(H, y + kRadius + 1),
+                  x0 = std::max<Index>(0, x - kRadius), x1 = std::min(W, x + kRadius + 1);
+      out[y * W + x] = static_cast<float>(at(y1, x1) - at(y0, x1) - at(y1, x0) + at(y0, x0));
+    }
+  return out;
+}
+
+/// Correlation of every window of `a` with `b` warped to it; -1 where `b` is not seen.
+Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, double z) {
+  const Index H = a.grey.dim(0), W = a.grey.dim(1), h = b.grey.dim(0), w = b.grey.dim(1);
+  Tensor n({H, W}), sa({H, W}), sb({H, W}), saa({H, W}), sbb({H, W}), sab({H, W});
+  for (Index i = 0; i < H * W; ++i) {
+    if (a.valid[i] < 1) continue;
+    const auto q = b_from_a(static_cast<double>(i % W), static_cast<double>(i / W), z);
+    const Index x = static_cast<Index>(std::floor(q[0])), y = static_cast<Index>(std::floor(q[1]));
+    if (x < 0 || y < 0 || x + 1 >= w || y + 1 >= h || b.valid[y * w + x] < 1) continue;
+    const float fx = static_cast<float>(q[0]) - static_cast<float>(x), fy = static_cast<float>(q[1]) - static_cast<float>(y);
+    const float* p = b.grey.data() + y * w + x;
+    const float vb = (1 - fy) * ((1 - fx) * p[0] + fx * p[1]) + fy * ((1 - fx) * p[w] + fx * p[w + 1]), va = a.grey[i];
+    n[i] = 1;
+    sa[i] = va;
+    sb[i] = vb;
+    saa[i] = va * va;
+    sbb[i] = vb * vb;
+    sab[i] = va * vb;
+  }
+  n = box_sum(n), sa = box_sum(sa), sb = box_sum(sb), saa = box_sum(saa), sbb = box_sum(sbb), sab = box_sum(sab);
+  Tensor out({H, W}, -1.f);
+  constexpr float kArea = (2 * kRadius + 1) * (2 * kRadius + 1), kTexture = 1e-5f;  // variance of a flat window
+  for (Index i = 0; i < H * W; ++i) {
+    if (n[i] < 0.9f * kArea) continue;
+    const float ma = sa[i] / n[i], mb = sb[i] / n[i], va = saa[i] / n[i] - ma * ma, vb = sbb[i] / n[i] - mb * mb;
+    if (va < kTexture || vb < kTexture) continue;
+    out[i] = (sab[i] / n[i] - ma * mb) / std::sqrt(va * vb);
+  }
+  return out;
+}
+
+}  // namespace
+
+std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high) {
+  if (!(z_high > z_low)) throw ConfigError("height range: " + std::to_string(z_low) + " to " + std::to_string(z_high) +
+                                           " m, expected a positive span to search");
+  Index largest = 0;
+  for (const SceneView& v : scene.views) largest = std::max({largest, v.rgb.dim(1), v.rgb.dim(2)});
+  const Index factor = std::max<Index>(1, (largest + kCoarse - 1) / kCoarse);
+  std::vector<Coarse> coarse;
+  for (const SceneView& v : scene.views) coarse.push_back(coarse_of(v, factor));
+
+  const SceneView& reference = scene.views[0];
+  const rpc::Window window{0, 0, static_cast<double>(reference.rgb.dim(2)), static_cast<double>(reference.rgb.dim(1))};
+  const rpc::HeightRange range{z_low + scene.frame.h0, z_high + scene.frame.h0};
+  const double f = static_cast<double>(factor);
+  std::vector<Quadratic> maps;
+  double parallax = 0;  // coarse px per m, the largest of all views
+  for (std::size_t j = 1; j < scene.views.size(); ++j) {
+    maps.push_back(rescale_pixels(rpc::fit_transfer(reference.rpc, scene.views[j].rpc, scene.frame, window, range), f, f));
+    const auto jac = maps.back().jacobian(window.width / 2 / f, window.height / 2 / f, 0.5 * (z_low + z_high));
+    parallax = std::max(parallax, std::hypot(jac[0][2], jac[1][2]));
+  }
+  constexpr double kStepPx = 0.75;  // disparity between tried heights; correlation survives half of it
+  const double span = z_high - z_low;
+  const Index steps = std::clamp<Index>(static_cast<Index>(span * parallax / kStepPx) + 1, 8, 2000);
+
+  const Index P = coarse[0].grey.count();
+  Tensor best({P}, -1.f), where({P}, 0.f);
+  // Pieces of rows would need the box sums' neighbours: parallel over heights instead, merged in order.
+  constexpr Index kBatch = 16;
+  for (Index first = 0; first < steps; first += kBatch) {
+    const Index batch = std::min(kBatch, steps - first);
+    std::vector<Tensor> score(static_cast<std::size_t>(batch));
+    const auto height = [&](Index k) { return z_low + span * (static_cast<double>(first + k) + 0.5) / static_cast<double>(steps); };
+    for_each_index(batch, [&](Index k) {
+      Tensor sum({P}), count({P});
+      for (std::size_t j = 0; j < maps.size(); ++j) {
+        const Tensor c = correlation(coarse[0], coarse[j + 1], maps[j], height(k));
+        for (Index i = 0; i < P; ++i)
+          if (c[i] > -1.f) {
+            sum[i] += c[i];
+            count[i] += 1;
+          }
+      }
+      for (Index i = 0; i < P; ++i) sum[i] = count[i] > 0 ? sum[i] / count[i] : -1.f;
+      score[static_cast<std::size_t>(k)] = sum;
+    });
+    for (Index k = 0; k < batch; ++k)
+      for (Index i = 0; i < P; ++i)
+        if (score[static_cast<std::size_t>(k)][i] > best[i]) {
+          best[i] = score[static_cast<std::size_t>(k)][i];
+          where[i] = static_cast<float>(height(k));
+        }
+  }
+  std::vector<float> heights;
+  for (Index i = 0; i < P; ++i)
+    if (best[i] >= kAgreement) heights.push_back(where[i]);
+  if (static_cast<Index>(heights.size()) < kFewest)
+    throw Error("height range: only " + std::to_string(heights.size()) + " windows of the images agree anywhere between " +
+                std::to_string(z_low + scene.frame.h0) + " and " + std::to_string(z_high + scene.frame.h0) +
+                " m, expected " + std::to_string(kFewest) + "; give --height-range LOW HIGH");
+  std::sort(heights.begin(), heights.end());
+  const auto percentile = [&](double q) {
+    return static_cast<double>(heights[static_cast<std::size_t>(q * static_cast<double>(heights.size() - 1))]);
+  };
+  return {percentile(0.01) - kMargin, percentile(0.99) + kMargin};
+}
+
+}  // namespace satsurf::train

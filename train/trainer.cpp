@@ -1,1 +1,194 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/train/trainer.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <numeric>
+
+#include "satsurf/core/fields_json.h"
+#include "satsurf/train/loss.h"
+
+namespace satsurf::train {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::vector<Scene> load_all(const fs::path& folder, Index views) {
+  std::vector<Scene> scenes;
+  for (const std::string& name : list_scenes(folder)) {
+    Scene scene = load_scene(folder, name);
+    if (static_cast<Index>(scene.views.size()) <= views)
+      throw IoError((folder / name).string() + ": " + std::to_string(scene.views.size()) +
+                    " images, expected more than " + std::to_string(views) + " (the sources and one target)");
+    if (!scene.truth) throw IoError((folder / name).string() + ": no truth (" + name + "_DSM.tif), expected one to train with");
+    scenes.push_back(std::move(scene));
+  }
+  return scenes;
+}
+
+/// Random gain, offset and gamma, the same for all views of the sample; optionally luminance only.
+void vary(Crop& crop, const TrainConfig& config, Rng& rng) {
+  const double r = config.radiometry;
+  const double gain = rng.uniform(1 - r, 1 + r), offset = rng.uniform(-r / 2, r / 2),
+               gamma = std::exp(rng.uniform(-r, r));
+  const bool grey = rng.chance(config.grey_share);
+  const auto apply = [&](nn::View& view) {
+    const Index P = view.valid.count();
+    for (Index i = 0; i < P; ++i) {
+      if (view.valid[i] <= 0) continue;
+      double c[3];
+      for (Index k = 0; k < 3; ++k)
+        c[k] = std::clamp(gain * std::pow(static_cast<double>(view.rgb[k * P + i]), gamma) + offset, 0.0, 1.0);
+      if (grey) c[0] = c[1] = c[2] = 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2];  // Rec. 601 luma
+      for (Index k = 0; k < 3; ++k) view.rgb[k * P + i] = static_cast<float>(c[k]);
+    }
+  };
+  for (nn::View& v : crop.input.sources) apply(v);
+  if (crop.target) apply(*crop.target);
+}
+
+/// Appends one line per step; on resuming, drops the lines of steps that will be run again.
+class Journal {
+ public:
+  Journal(const fs::path& path, Index keep_steps) {
+    std::string kept;
+    if (keep_steps > 0) {
+      std::ifstream in(path);
+      std::string line;
+      for (Index n = 0; n < keep_steps && std::getline(in, line); ++n) kept += line + '\n';
+    }
+    out_.open(path, std::ios::trunc);
+    out_ << kept << std::flush;
+    if (!out_) throw IoError(path.string() + ": cannot be written");
+  }
+  void add(const StepReport& r) {
+    nlohmann::ordered_json line{{"step", r.step},       {"loss", r.loss}, {"height_mae", r.height_mae},
+                                {"colour_psnr", r.colour_psnr}, {"lr", r.lr},     {"grad_norm", r.grad_norm},
+                                {"seconds", r.seconds}};
+    out_ << line.dump() << '\n' << std::flush;
+  }
+
+ private:
+  std::ofstream out_;
+};
+
+}  // namespace
+
+Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes, std::uint64_t seed, Index step) {
+  Rng rng = Rng(seed).fork(static_cast<std::uint64_t>(step));
+  // A window may lie where the truth is unknown or outside an image; a few tries always find a good one.
+  constexpr int kTries = 20;
+  constexpr double kEnough = 0.6;  // share of source pixels with a known height
+  Crop crop;
+  for (int attempt = 0; attempt < kTries; ++attempt) {
+    const Scene& scene = scenes[static_cast<std::size_t>(rng.below(static_cast<Index>(scenes.size())))];
+    std::vector<Index> order(scene.views.size());
+    std::iota(order.begin(), order.end(), Index{0});
+    for (std::size_t i = order.size(); i-- > 1;)
+      std::swap(order[i], order[static_cast<std::size_t>(rng.below(static_cast<Index>(i) + 1))]);
+    const auto N = static_cast<std::size_t>(config.views);
+    const std::vector<Index> sources(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(N));
+
+    const HeightField& truth = *scene.truth;
+    const double reach = 0.5 * static_cast<double>(std::min(truth.z.dim(0), truth.z.dim(1))) * truth.step;
+    const double gsd = 0.5 * truth.step;  // a lower bound is enough to keep the window on the grid
+    const double inner = std::max(0.0, reach - static_cast<double>(config.crop) * gsd);
+    const double x = truth.x0 + 0.5 * static_cast<double>(truth.z.dim(1)) * truth.step + rng.uniform(-inner, inner);
+    const double y = truth.y0 - 0.5 * static_cast<double>(truth.z.dim(0)) * truth.step + rng.uniform(-inner, inner);
+    const double span = scene.z_high - scene.z_low;
+    const double low = scene.z_low - rng.uniform(0, config.range_jitter) * span,
+                 high = scene.z_high + rng.uniform(0, config.range_jitter) * span;
+    const Index row = std::clamp<Index>(static_cast<Index>((truth.y0 - y) / truth.step), 0, truth.z.dim(0) - 1),
+                col = std::clamp<Index>(static_cast<Index>((x - truth.x0) / truth.step), 0, truth.z.dim(1) - 1);
+    const float z = truth.z[row * truth.z.dim(1) + col];
+    crop = make_crop(scene, sources, order[N], x, y, std::isfinite(z) ? static_cast<double>(z) : 0.0, config.crop, low,
+                     high, true);
+    Index known = 0, all = 0;
+    for (std::size_t i = 0; i < N; ++i)
+      for (Index p = 0; p < config.crop * config.crop; ++p, ++all) {
+        const bool seen = crop.input.sources[i].valid[p] > 0;
+        if (!seen)
+          for (std::size_t s = 0; s < 3; ++s) {  // no image, no lesson
+            const Index stride = Index{4} >> s, w = config.crop / stride;
+            crop.source_truth[s][i][(p / config.crop / stride) * w + p % config.crop / stride] = std::nanf("");
+          }
+        known += seen && std::isfinite(crop.source_truth[2][i][p]) ? 1 : 0;
+      }
+    if (static_cast<double>(known) >= kEnough * static_cast<double>(all)) break;
+  }
+  vary(crop, config, rng);
+  return crop;
+}
+
+void train(const TrainConfig& config, const fs::path& data, const fs::path& out, std::uint64_t seed, bool resume,
+           const StepCallback& callback) {
+  check_fields(config, "train");
+  const Index multiple = nn::size_multiple(config.model);
+  if (config.crop % multiple != 0)
+    throw ConfigError("train: crop is " + std::to_string(config.crop) + ", expected a multiple of " +
+                      std::to_string(multiple));
+  const std::vector<Scene> scenes = load_all(data, config.views);
+
+  const fs::path checkpoint = out / "checkpoint.safetensors";
+  const std::string record = to_json(config).dump();
+  nn::Model model(config.model, seed);
+  nn::AdamW optimiser(model.parameters(), {.weight_decay = config.weight_decay});
+  Index step = 0;
+  if (resume) {
+    const TensorFile file = load_safetensors(checkpoint);
+    const auto saved = file.metadata.find("train"), saved_seed = file.metadata.find("seed");
+    if (saved == file.metadata.end() || saved_seed == file.metadata.end())
+      throw IoError(checkpoint.string() + ": no training state, expected a checkpoint that train wrote");
+    if (saved->second != record || saved_seed->second != std::to_string(seed))
+      throw ConfigError(checkpoint.string() + ": made with another configuration or seed, expected the same to resume; "
+                        "saved: seed " + saved_seed->second + ", " + saved->second);
+    model.parameters().load(file, "model.", checkpoint.string());
+    optimiser.load(file, checkpoint.string());
+    step = optimiser.steps();
+  }
+  fs::create_directories(out);
+  Journal journal(out / "train.jsonl", step);
+
+  const auto save = [&] {
+    TensorFile file;
+    store_model(file, model);
+    optimiser.store(file);
+    file.metadata["train"] = record;
+    file.metadata["seed"] = std::to_string(seed);
+    save_safetensors(checkpoint, file);
+    save_model(out / "weights.safetensors", model);
+  };
+
+  for (bool go_on = true; go_on && step < config.steps;) {
+    const auto start = std::chrono::steady_clock::now();
+    const Crop crop = training_sample(config, scenes, seed, step);
+    model.parameters().clear_grads();
+    StepReport report{.step = step + 1, .steps = config.steps, .lr = nn::one_cycle_lr(config.lr, config.warmup, step, config.steps)};
+    {
+      const LossReport loss = training_loss(config, model.forward(crop.input), crop);
+      report.loss = static_cast<double>(loss.total.value().item());
+      report.height_mae = loss.height_mae;
+      report.colour_psnr = loss.colour_psnr;
+      if (std::isfinite(report.loss)) loss.total.backward();
+    }
+    if (!std::isfinite(report.loss)) {  // once more under guard, to name the op that broke
+      const NanGuard guard;
+      training_loss(config, model.forward(crop.input), crop);
+      throw Error("train: the loss of step " + std::to_string(step + 1) + " is not finite");
+    }
+    report.grad_norm = nn::clip_gradient_norm(model.parameters(), config.clip);
+    if (!std::isfinite(report.grad_norm))
+      throw Error("train: the gradient of step " + std::to_string(step + 1) + " is not finite");
+    optimiser.step(report.lr);
+    ++step;
+    report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    journal.add(report);
+    if (callback) go_on = callback(report);
+    if (!go_on || step == config.steps || step % config.checkpoint_every == 0) save();
+  }
+}
+
+}  // namespace satsurf::train

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <string>
+
+#include "satsurf/nn/module.h"
+#include "satsurf/ops/conv.h"
+#include "satsurf/ops/norm.h"
+
+namespace satsurf::nn {
+
+/// Groups of a GroupNorm over `channels`: groups of about four channels, at most eight of them.
+Index norm_groups(Index channels);
+
+/// 2D convolution, with bias. Padding keeps (stride 1) or divides (stride s) the size.
+template <class T>
+struct Conv2d {
+  BasicVar<T> weight, bias;
+  Conv2dOptions options;
+  Conv2d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index kernel, Index stride = 1);
+  BasicVar<T> operator()(const BasicVar<T>& x) const { return conv2d(x, weight, bias, options); }
+};
+
+/// 2D convolution, GroupNorm and activation. x [B C H W].
+template <class T>
+struct ConvNorm2d {
+  BasicVar<T> weight, gamma, beta;
+  Conv2dOptions options;
+  Activation activation;
+  ConvNorm2d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index kernel, Index stride,
+             Activation act);
+  BasicVar<T> operator()(const BasicVar<T>& x) const;
+};
+
+/// 3D convolution (3 x 3 x 3), GroupNorm and ReLU. x [B C D H W].
+template <class T>
+struct ConvNorm3d {
+  BasicVar<T> weight, gamma, beta;
+  Conv3dOptions options;
+  ConvNorm3d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index stride);
+  BasicVar<T> operator()(const BasicVar<T>& x) const;
+};
+
+/// Transposed 3D convolution that doubles every axis, GroupNorm and ReLU.
+template <class T>
+struct UpNorm3d {
+  BasicVar<T> weight, gamma, beta;
+  UpNorm3d(ParameterSet<T>& p, const std::string& name, Index in, Index out);
+  BasicVar<T> operator()(const BasicVar<T>& x) const;
+};
+
+}  // namespace satsurf::nn

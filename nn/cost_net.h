@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <vector>
+
+#include "satsurf/nn/blocks.h"
+
+namespace satsurf::nn {
+
+/// 3D U-Net that turns a variance volume into one logit per hypothesis. Source: Yao et al. 2018 (MVSNet), figure 2.
+template <class T>
+class CostNet {
+ public:
+  /// channels  of the variance volume; base and levels as in ModelConfig
+  CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base, Index levels);
+  /// volume [C D H W], D, H and W multiples of 2^levels; returns logits [1 D H W]
+  BasicVar<T> operator()(const BasicVar<T>& volume) const;
+
+ private:
+  struct Level {
+    ConvNorm3d<T> down, same;
+    UpNorm3d<T> up;
+  };
+  ConvNorm3d<T> first_;
+  std::vector<Level> levels_;
+  BasicVar<T> last_;
+};
+
+}  // namespace satsurf::nn

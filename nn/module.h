@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "satsurf/core/safetensors.h"
+#include "satsurf/core/var.h"
+
+namespace satsurf::nn {
+
+/// How a new parameter is filled.
+struct Init {
+  enum class Kind { constant, kaiming } kind = Kind::constant;
+  double value = 0;   ///< of a constant
+  Index fan_in = 1;   ///< of kaiming: N(0, 2 / fan_in). Source: He et al. 2015, eq. 10
+  static Init constant(double value) { return {Kind::constant, value, 1}; }
+  static Init kaiming(Index fan_in) { return {Kind::kaiming, 0, fan_in}; }
+};
+
+/// The named parameters of a model, in creation order. Values depend on the seed and the name alone, so adding
+/// a layer does not change the others.
+template <class T>
+class ParameterSet {
+ public:
+  struct Entry {
+    std::string name;
+    BasicVar<T> var;
+    bool decays;  ///< weight decay applies (weights yes, norms and biases no)
+  };
+
+  explicit ParameterSet(std::uint64_t seed) : seed_(seed) {}
+
+  /// throws Error if the name is taken
+  BasicVar<T> create(const std::string& name, const Shape& shape, const Init& init, bool decays);
+
+  const std::vector<Entry>& entries() const { return entries_; }
+  Index count() const;  ///< numbers in all
+  void clear_grads();
+
+  /// Adds every parameter under `prefix` + its name.
+  void store(TensorFile& file, const std::string& prefix) const;
+  /// Takes every parameter from `prefix` + its name. throws IoError listing missing, extra and mis-shaped names
+  void load(const TensorFile& file, const std::string& prefix, const std::string& where);
+
+ private:
+  std::uint64_t seed_;
+  std::vector<Entry> entries_;
+};
+
+}  // namespace satsurf::nn

@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <vector>
+
+#include "satsurf/core/quadratic.h"
+#include "satsurf/core/tensor.h"
+
+namespace satsurf::nn {
+
+/// One image window with its camera, in the local frame of the scene (x east, y north, z up, m).
+struct View {
+  Tensor rgb;                  ///< [3 H W] in [0, 1]
+  Tensor valid;                ///< [H W] 1 where the image has data, else 0
+  Quadratic local_from_pixel;  ///< (x px, y px, z m) -> (x, y) m
+  Quadratic pixel_from_local;  ///< (x, y, z) m -> px
+};
+
+/// What the network is given: source views of one size, and the pixel transfer between any two of them.
+struct SceneInput {
+  std::vector<View> sources;                     ///< two or more, H and W multiples of `size_multiple`
+  std::vector<std::vector<Quadratic>> transfer;  ///< [reference][source]: (x, y, z) -> px; the diagonal is unused
+  double z_low = 0, z_high = 0;                  ///< height range in the local frame, m
+};
+
+}  // namespace satsurf::nn
