@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/tensor.h"
+#include "satsurf/rpc/fit.h"
+#include "satsurf/rpc/model.h"
+
+#include <array>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace satsurf::rpc {
+
+/// What a file says about an image, without its pixels.
+struct RasterInfo {
+  std::filesystem::path path;
+  Index width = 0, height = 0, bands = 0;
+  std::string dtype;  ///< uint8, uint16, int16, float32 or another of GDAL's, in these words
+  std::optional<Rpc> rpc;
+  /// Where the camera came from: "TIFF tag", "RPB", "_RPC.TXT", "Maxar XML", "DIMAP", "NITF" or
+  /// "Sat-NeRF JSON"; another driver's name for other formats. Empty without a camera.
+  std::string rpc_source;
+  std::vector<std::string> tried;  ///< the places looked in for a camera, best first
+  std::optional<double> sun_elevation_deg, sun_azimuth_deg;
+  std::optional<std::string> acquisition_date;  ///< as the file writes it
+  std::optional<HeightRange> height_range;      ///< of the ground, m above the ellipsoid
+  std::optional<double> nodata;
+  std::string crs;  ///< "EPSG:32617", WKT where no code is known, empty without one
+  std::optional<std::array<double, 6>> geotransform;  ///< GDAL's order, corner of the first pixel
+};
+
+/// An image, whole or a window of it.
+struct Image {
+  Tensor pixels;    ///< [C H W] values as stored
+  Tensor valid;     ///< [H W] 1 or 0: nodata, NaN, a mask band or a transparent alpha
+  RasterInfo info;  ///< of the part read: size and camera are the window's
+};
+
+/// Whole pixels of an image, columns x0.. and rows y0..
+struct PixelWindow {
+  Index x0 = 0, y0 = 0, width = 0, height = 0;
+};
+
+/// Any raster GDAL opens. The camera may sit in the file (TIFF tag, NITF RPC00B) or beside it
+/// (NAME.RPB, NAME_RPC.TXT, NAME.XML, RPC_NAME.XML). throws IoError
+RasterInfo read_info(const std::filesystem::path& path);
+
+/// Pixels of type uint8, uint16, int16 or float32 (others are converted by GDAL). An alpha band is
+/// taken into `valid` and is not among the channels.
+/// throws IoError for a file that is missing, no raster, damaged or without one valid pixel; for a
+/// window that leaves the image
+Image read_image(const std::filesystem::path& path, const std::optional<PixelWindow>& window = {});
+
+/// An image together with its camera: a raster, or a Sat-NeRF JSON whose camera then replaces the
+/// raster's. The JSON's image is looked for beside the JSON and in `image_dirs`.
+/// throws IoError without a camera, naming the file and where one was looked for
+Image open_view(const std::filesystem::path& path,
+                const std::vector<std::filesystem::path>& image_dirs = {});
+
+/// The same without the pixels.
+RasterInfo view_info(const std::filesystem::path& path,
+                     const std::vector<std::filesystem::path>& image_dirs = {});
+
+/// Colours for the network, [3 H W] in [0, 1]; invalid pixels are 0.
+///   channels  one or two: the first, three times; three or more: the first three as red, green,
+///             blue (the order of RGB products and of 4-band Pleiades and WorldView bundles as
+///             delivered in natural colours)
+///   values    uint8: / 255; others: the 1st to the 99th percentile of the valid pixels of these
+///             channels together are stretched to [0, 1] and clipped, so that hue is kept
+Tensor to_rgb(const Image& image);
+
+/// The camera in a GDAL metadata domain "RPC" (keys LINE_OFF ... SAMP_DEN_COEFF).
+/// `where` begins the error texts. throws IoError naming the key that is missing or no number
+Rpc rpc_from_gdal_metadata(const std::map<std::string, std::string>& items,
+                           const std::string& where);
+
+/// A camera file without its image, the dialect told by its content: `_RPC.TXT` ("KEY: value unit";
+/// IKONOS, GeoEye, Planet, SkySat), `.RPB`, Maxar XML, DIMAP XML (its pixels count from 1; ours
+/// from 0), the 170 lines of WHU-TLC (whose inverse half is not used), Sat-NeRF JSON. throws
+/// IoError
+Rpc read_rpc_file(const std::filesystem::path& path);
+
+/// The JSON file of one view that Sat-NeRF, EO-NeRF and EOGS read.
+struct SatNerfJson {
+  std::string image;  ///< file name
+  Index width = 0, height = 0;
+  Rpc rpc;
+  double min_alt = 0, max_alt = 0;  ///< m above the ellipsoid
+  std::optional<double> sun_elevation_deg, sun_azimuth_deg;
+  std::optional<std::string> acquisition_date;
+};
+/// Numbers may be strings ("+42.2"). throws IoError naming the file and the key
+SatNerfJson read_satnerf_json(const std::filesystem::path& path);
+
+}  // namespace satsurf::rpc
