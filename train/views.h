@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/rpc/read.h"
+#include "satsurf/train/dataset.h"
+
+#include <array>
+#include <filesystem>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace satsurf::train {
+
+/// A convex polygon on the ground, m, counter-clockwise.
+using Polygon = std::vector<std::array<double, 2>>;
+
+double polygon_area(const Polygon& polygon);
+std::array<double, 2> polygon_centroid(const Polygon& polygon);
+/// The part of `a` inside `b`; empty if they do not meet. Source: Sutherland & Hodgman 1974.
+Polygon intersect(const Polygon& a, const Polygon& b);
+
+/// The four corners of an image on the ground at height h, in one zone. throws Error
+Polygon footprint(const rpc::Rpc& rpc, Index width, Index height, const rpc::UtmZone& zone,
+                  double h);
+
+/// How a camera looks at its image's centre at height h.
+struct ViewAngles {
+  double gsd = 0;            ///< ground size of a pixel across the ray, m
+  double off_nadir_deg = 0;  ///< between the ray and the vertical at the ground
+  double azimuth_deg = 0;    ///< from the ground towards the satellite, clockwise from north
+};
+ViewAngles view_angles(const rpc::Rpc& rpc, Index width, Index height, double h);
+
+/// Pixels by which a ground point moves in `b` against `a` per metre of height, at (lon, lat, h).
+double parallax(const rpc::Rpc& a, const rpc::Rpc& b, const rpc::Geodetic& p);
+
+/// What is known of the surface's height before the images have been compared.
+struct RangeChoice {
+  rpc::HeightRange range;  ///< m above the ellipsoid
+  std::string source;      ///< in words: where it came from
+};
+
+/// A scene of a user's own images: opens every view, checks that each pair sees common ground, and
+/// chooses the frame (UTM zone and rounded centre of the common ground, height origin in the middle
+/// of the height range). The range is the one wanted, else the one the images' metadata name, else
+/// it is searched for with `find_height_range`. throws IoError, Error naming the files
+struct UserScene {
+  Scene scene;
+  RangeChoice range;
+  double common_area = 0;  ///< ground that all views see, m2
+};
+UserScene scene_from_views(const std::vector<std::filesystem::path>& files,
+                           const std::vector<std::filesystem::path>& image_dirs,
+                           const std::optional<rpc::HeightRange>& wanted);
+
+}  // namespace satsurf::train
