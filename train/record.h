@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace satsurf::train {
+
+/// What a run depended on and what came of it: `run.json`. Given back as `--config run.json`, it
+/// repeats the run.
+class RunRecord {
+ public:
+  /// Starts the clock.
+  /// config  the effective configuration, defaults included
+  RunRecord(std::string command, nlohmann::json config, std::uint64_t seed);
+
+  /// Notes size and SHA-256 of a file, or of every file below a folder. throws IoError
+  void add_input(const std::filesystem::path& path);
+  /// Whatever the command has to say about its outcome.
+  nlohmann::json& results() { return results_; }
+
+  /// program, version, git, command, config, seed, host, isa, threads, started (UTC), wall_seconds,
+  /// peak_memory_bytes, peak_tensor_bytes, inputs [{path, bytes, sha256}], results.
+  nlohmann::ordered_json json() const;
+  /// Writes `json()`, whole or not at all. throws IoError
+  void save(const std::filesystem::path& path) const;
+
+ private:
+  struct Input {
+    std::string path;
+    std::uintmax_t bytes = 0;
+    std::string sha256;
+  };
+
+  std::string command_;
+  nlohmann::json config_, results_ = nlohmann::json::object();
+  std::uint64_t seed_;
+  std::vector<Input> inputs_;
+  std::chrono::system_clock::time_point started_;
+  std::chrono::steady_clock::time_point clock_;
+};
+
+/// The configuration in a JSON file: the file itself, or the `config` of a run record. throws
+/// IoError
+nlohmann::json load_config(const std::filesystem::path& path);
+
+/// The version of this program, e.g. `0.1.0`.
+const char* program_version();
+/// The commit it was configured at, or `unknown` outside a git checkout.
+const char* program_git_hash();
+
+}  // namespace satsurf::train
