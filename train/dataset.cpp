@@ -130,7 +130,7 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
 
   const fs::path dsm = layout->truth / (name + "_DSM.tif"), classes = layout->truth / (name + "_CLS.tif");
   if (fs::exists(dsm)) {
-    const rpc::GeoRaster raster = rpc::read_geo_raster(dsm);
+    const rpc::GeoRaster raster = rpc::read_geo_raster(dsm, scene.frame.zone);
     const auto [z_min, z_max] = finite_range(raster.values);
     if (std::isnan(z_min)) throw IoError(dsm.string() + ": no finite height, expected a surface model");
     low = z_min - kTruthMargin;
@@ -145,7 +145,7 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
     for (float& z : truth.z.values()) z -= static_cast<float>(scene.frame.h0);
     scene.truth = std::move(truth);
     if (fs::exists(classes)) {
-      const rpc::GeoRaster c = rpc::read_geo_raster(classes);
+      const rpc::GeoRaster c = rpc::read_geo_raster(classes, scene.frame.zone);
       scene.classes = c.values.reshaped({c.values.dim(c.values.rank() - 2), c.values.dim(c.values.rank() - 1)});
     }
   } else {
