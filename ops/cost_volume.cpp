@@ -2,56 +2,196 @@
 #include "satsurf/ops/cost_volume.h"
 
 #include "satsurf/core/dims.h"
+#include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/cost_volume_kernels.h"
 
 #include <algorithm>
-#include <array>
-#include <cmath>
 #include <string>
 
 namespace satsurf {
 namespace {
 
-/// One view at one sample: the four neighbours and their weights; all weights 0 where it does not
-/// count.
+std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+
+Index channel_stride(Index C) { return C <= 4 ? 4 : C <= 8 ? 8 : (C + 15) / 16 * 16; }
+
+SweepMap restrict_to_row(const Quadratic& q, Index y) {
+  const double b = (static_cast<double>(y) - q.offset[1]) / q.scale[1];
+  SweepMap m{1 / q.scale[0], -q.offset[0] / q.scale[0], 1 / q.scale[2], q.offset[2], {}, {}};
+  for (std::size_t k = 0; k < 2; ++k) {
+    const auto& c = q.coeff[k];
+    double* out = k == 0 ? m.u : m.v;
+    out[0] = c[0] + b * (c[2] + b * c[7]);
+    out[1] = c[1] + b * c[5];
+    out[2] = c[4];
+    out[3] = c[3] + b * c[8];
+    out[4] = c[6];
+    out[5] = c[9];
+  }
+  return m;
+}
+
+/// What one call works on, all but the features; shared by forward and backward.
 template <class T>
-struct Tap {
-  bool counts = false;
-  std::array<Index, 4> at{};
-  std::array<T, 4> weight{};
+struct Sweep {
+  Index N, C, D, H, W, Cs, reference;
+  std::vector<Quadratic> maps;  // of the source views, in order
+  std::vector<Index> sources;   // their indices
+  BasicTensor<T> heights, valid;
+  T reference_counts;
+
+  Index J() const { return static_cast<Index>(sources.size()); }
+  Index row() const { return W * Cs; }
+
+  /// [N H W Cs]
+  BasicTensor<T> channels_last(const T* features) const {
+    auto out = BasicTensor<T>::uninitialised({N * H, row()});
+    const auto to_pixels = SATSURF_DISPATCH(sweep_to_pixels<T>);
+    for_range(N * H, 4, [&](Index begin, Index end) {
+      for (Index r = begin; r < end; ++r)
+        to_pixels(features + (r / H * C * H + r % H) * W, H * W, W, C, Cs, out.data() + r * row());
+    });
+    return out;
+  }
 };
 
-/// A map restricted to one reference pixel: out = c0 + t (c1 + t c2), t = normalised height.
-struct PixelLine {
-  std::array<double, 3> u{}, v{};
-
-  PixelLine(const Quadratic& q, double x, double y) {
-    const double a = (x - q.offset[0]) / q.scale[0], b = (y - q.offset[1]) / q.scale[1];
-    for (std::size_t k = 0; k < 2; ++k) {
-      const auto& c = q.coeff[k];
-      (k == 0 ? u : v) = {c[0] + a * (c[1] + c[4] * a + c[5] * b) + b * (c[2] + c[7] * b),
-                          c[3] + c[6] * a + c[8] * b, c[9]};
+/// The kernel's view of reference rows, with the scratch of one thread's piece.
+template <class T>
+class RowWork {
+ public:
+  RowWork(const Sweep<T>& sweep, const T* pixels)
+      : sweep_(sweep),
+        pixels_(pixels),
+        maps_(at(sweep.J())),
+        lines_(at(sweep.J())),
+        taps_(at(sweep.J())) {
+    const Index P = sweep.H * sweep.W, Cs = sweep.Cs;
+    for (const Index j : sweep.sources) {
+      sources_.push_back(pixels + j * sweep.H * sweep.row());
+      if (!sweep.valid.empty()) valid_.push_back(sweep.valid.data() + j * P);
     }
+    scratch_ = BasicTensor<T>({2 * kSweepTile + sweep.J(), Cs});
+    T* tile = scratch_.data();
+    s_ = {sweep.H,
+          sweep.W,
+          sweep.C,
+          Cs,
+          sweep.D,
+          sweep.J(),
+          maps_.data(),
+          sources_.data(),
+          valid_.empty() ? nullptr : valid_.data(),
+          nullptr,
+          sweep.reference_counts,
+          nullptr,
+          lines_.data(),
+          taps_.data(),
+          tile,
+          tile + kSweepTile * Cs,
+          tile + 2 * kSweepTile * Cs};
+  }
+  const SweepRow<T>& at_row(Index y) {
+    for (std::size_t j = 0; j < maps_.size(); ++j) maps_[j] = restrict_to_row(sweep_.maps[j], y);
+    s_.reference = pixels_ + (sweep_.reference * sweep_.H + y) * sweep_.row();
+    s_.heights = sweep_.heights.data() + y * sweep_.W;
+    return s_;
+  }
+
+ private:
+  const Sweep<T>& sweep_;
+  const T* pixels_;
+  std::vector<SweepMap> maps_;
+  std::vector<SweepLines<T>> lines_;
+  std::vector<SweepTaps<T>> taps_;
+  std::vector<const T*> sources_, valid_;
+  BasicTensor<T> scratch_;
+  SweepRow<T> s_;
+};
+
+/// Source rows first..last of one view that a band of reference rows reads, and where their
+/// gradients lie in the shared buffer.
+struct Touched {
+  std::int32_t first = 0, last = -1;
+  Index offset = 0;
+
+  Index rows() const { return last < first ? 0 : last - first + 1; }
+};
+
+/// Cuts the reference rows into bands. Each band scatters into rows of its own, which are then
+/// added in the order of the bands, so the sums are the same for any number of threads.
+struct Bands {
+  Index height = 1, count = 1, J = 0, rows = 0;
+  std::vector<Touched> touched;  // [count J]
+
+  Bands(const std::vector<std::int32_t>& range, Index H, Index sources) : J(sources) {
+    constexpr Index kMostBands = 32, kLeastHeight = 2;
+    constexpr Index kMostCopies =
+        4;  // of the source maps' gradients, unless there is one band only
+    for (height = std::max(kLeastHeight, (H + kMostBands - 1) / kMostBands);; height *= 2) {
+      cut(range, H);
+      if (rows <= kMostCopies * J * H || count == 1) break;
+    }
+  }
+
+ private:
+  void cut(const std::vector<std::int32_t>& range, Index H) {
+    count = (H + height - 1) / height;
+    rows = 0;
+    touched.assign(at(count * J), {});
+    for (Index b = 0; b < count; ++b)
+      for (Index j = 0; j < J; ++j) {
+        Touched& t = touched[at(b * J + j)];
+        t.first = static_cast<std::int32_t>(H);
+        for (Index y = b * height; y < std::min(H, (b + 1) * height); ++y) {
+          t.first = std::min(t.first, range[at(2 * (y * J + j))]);
+          t.last = std::max(t.last, range[at(2 * (y * J + j) + 1)]);
+        }
+        t.offset = rows;
+        rows += t.rows();
+      }
   }
 };
 
 template <class T>
-Tap<T> tap_at(double u, double v, Index H, Index W, const T* valid) {
-  Tap<T> t;
-  if (!(u >= 0 && u <= static_cast<double>(W - 1) && v >= 0 && v <= static_cast<double>(H - 1)))
-    return t;
-  if (valid != nullptr &&
-      valid[static_cast<Index>(v + 0.5) * W + static_cast<Index>(u + 0.5)] == T(0))
-    return t;
-  const Index x0 = std::min(static_cast<Index>(u), std::max<Index>(0, W - 2));
-  const Index y0 = std::min(static_cast<Index>(v), std::max<Index>(0, H - 2));
-  const Index x1 = std::min(x0 + 1, W - 1), y1 = std::min(y0 + 1, H - 1);
-  const T fx = static_cast<T>(u - static_cast<double>(x0));
-  const T fy = static_cast<T>(v - static_cast<double>(y0));
-  t.counts = true;
-  t.at = {y0 * W + x0, y0 * W + x1, y1 * W + x0, y1 * W + x1};
-  t.weight = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
-  return t;
+void add_gradient(const Sweep<T>& sweep, const std::vector<std::int32_t>& range, const T* features,
+                  const T* g, T* d_features) {
+  const Index H = sweep.H, W = sweep.W, C = sweep.C, J = sweep.J();
+  const Bands bands(range, H, J);
+  const BasicTensor<T> pixels = sweep.channels_last(features);
+  auto partial = BasicTensor<T>::uninitialised({bands.rows, sweep.row()});
+
+  const auto backward = SATSURF_DISPATCH(sweep_backward<T>);
+  for_each_index(bands.count, [&](Index b) {
+    RowWork<T> work(sweep, pixels.data());
+    std::vector<T*> d_sources;
+    std::vector<std::int32_t> first;
+    for (Index j = 0; j < J; ++j) {
+      const Touched& t = bands.touched[at(b * J + j)];
+      d_sources.push_back(partial.data() + t.offset * sweep.row());
+      std::fill_n(d_sources.back(), t.rows() * sweep.row(), T(0));
+      first.push_back(t.first);
+    }
+    for (Index y = b * bands.height; y < std::min(H, (b + 1) * bands.height); ++y)
+      backward(work.at_row(y), g + y * W, d_features + (sweep.reference * C * H + y) * W,
+               d_sources.data(), first.data());
+  });
+
+  const auto add_rows = SATSURF_DISPATCH(sweep_add_rows<T>);
+  for_range(J * H, 4, [&](Index begin, Index end) {
+    std::vector<const T*> rows;
+    BasicTensor<T> tile({kSweepTile, sweep.Cs});
+    for (Index r = begin; r < end; ++r) {
+      const Index j = r / H, y = r % H;
+      rows.clear();
+      for (Index b = 0; b < bands.count; ++b)
+        if (const Touched& t = bands.touched[at(b * J + j)]; y >= t.first && y <= t.last)
+          rows.push_back(partial.data() + (t.offset + y - t.first) * sweep.row());
+      if (!rows.empty())
+        add_rows(rows.data(), static_cast<Index>(rows.size()), W, C, sweep.Cs,
+                 d_features + (sweep.sources[at(j)] * C * H + y) * W, H * W, tile.data());
+    }
+  });
 }
 
 }  // namespace
@@ -63,88 +203,38 @@ BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
   Dims dim("plane_sweep_variance");
   dim.match("features", features, "N C H W").match("heights", heights, "D H W");
   if (!valid.empty()) dim.match("valid", valid, "N H W");
-  const Index N = dim["N"], C = dim["C"], D = dim["D"], H = dim["H"], W = dim["W"], P = H * W;
+  Sweep<T> sweep{
+      dim["N"],  dim["C"], dim["D"], dim["H"], dim["W"], channel_stride(dim["C"]),
+      reference, {},       {},       heights,  valid,    include_reference ? T(1) : T(0)};
+  const Index N = sweep.N, H = sweep.H, W = sweep.W;
   if (reference < 0 || reference >= N)
     throw ShapeError("plane_sweep_variance: reference is " + std::to_string(reference) +
                      ", expected one of " + std::to_string(N) + " views");
   if (static_cast<Index>(maps.size()) != N)
     throw ShapeError("plane_sweep_variance: " + std::to_string(maps.size()) +
                      " maps, expected one for each of " + std::to_string(N) + " views");
+  for (Index j = 0; j < N; ++j) {
+    if (j == reference) continue;
+    sweep.sources.push_back(j);
+    sweep.maps.push_back(maps[at(j)]);
+  }
 
-  // body(d, pixel, taps, n): every sample of reference row y.
-  const auto each_sample = [=](Index y, const auto& body) {
-    std::vector<Tap<T>> taps(static_cast<std::size_t>(N));
-    for (Index x = 0; x < W; ++x)
-      for (Index d = 0; d < D; ++d) {
-        const Index pixel = y * W + x;
-        const double z = static_cast<double>(heights[d * P + pixel]);
-        Index count = include_reference ? 1 : 0;
-        for (Index j = 0; j < N; ++j) {
-          Tap<T>& t = taps[static_cast<std::size_t>(j)];
-          if (j == reference) {
-            t = {include_reference, {pixel, pixel, pixel, pixel}, {1, 0, 0, 0}};
-            continue;
-          }
-          const Quadratic& q = maps[static_cast<std::size_t>(j)];
-          const PixelLine line(q, static_cast<double>(x), static_cast<double>(y));
-          const double s = (z - q.offset[2]) / q.scale[2];
-          t = tap_at(line.u[0] + s * (line.u[1] + s * line.u[2]),
-                     line.v[0] + s * (line.v[1] + s * line.v[2]), H, W,
-                     valid.empty() ? nullptr : valid.data() + j * P);
-          count += t.counts ? 1 : 0;
-        }
-        body(d, pixel, taps, count);
-      }
-  };
-  const auto sample = [=](const T* map, const Tap<T>& t) {
-    T f = 0;
-    for (std::size_t k = 0; k < 4; ++k) f += t.weight[k] * map[t.at[k]];
-    return f;
-  };
-
-  BasicTensor<T> out({C, D, H, W});
-  for_each_index(H, [&](Index y) {
-    const T* f = features.value().data();
-    each_sample(y, [&](Index d, Index pixel, const std::vector<Tap<T>>& taps, Index count) {
-      if (count < 2) return;
-      const T share = T(1) / static_cast<T>(count);
-      for (Index c = 0; c < C; ++c) {
-        T first = 0, second = 0;
-        for (Index j = 0; j < N; ++j) {
-          const Tap<T>& t = taps[static_cast<std::size_t>(j)];
-          if (!t.counts) continue;
-          const T e = sample(f + (j * C + c) * P, t);
-          first += e;
-          second += e * e;
-        }
-        out[(c * D + d) * P + pixel] = second * share - first * share * (first * share);
-      }
-    });
+  const Index J = sweep.J();
+  auto out = BasicTensor<T>::uninitialised({sweep.C, sweep.D, H, W});
+  std::vector<std::int32_t> range(at(2 * J * H));  // source rows read by each reference row
+  const BasicTensor<T> pixels = sweep.channels_last(features.value().data());
+  const auto forward = SATSURF_DISPATCH(sweep_forward<T>);
+  for_range(H, 2, [&](Index begin, Index end) {
+    RowWork<T> work(sweep, pixels.data());
+    for (Index y = begin; y < end; ++y)
+      forward(work.at_row(y), out.data() + y * W, range.data() + 2 * J * y);
   });
 
-  return BasicVar<T>::record("plane_sweep_variance", out, {features}, [=](Node<T>& n) {
-    T* df = n.grad_in(0);
-    if (df == nullptr) return;
-    const T *f = n.in(0), *g = n.grad.data();
-    for_each_index(C, [&](Index c) {  // a channel's gradient is written by its own piece alone
-      for (Index y = 0; y < H; ++y)
-        each_sample(y, [&](Index d, Index pixel, const std::vector<Tap<T>>& taps, Index count) {
-          if (count < 2) return;
-          T mean = 0;
-          for (Index j = 0; j < N; ++j)
-            if (const Tap<T>& t = taps[static_cast<std::size_t>(j)]; t.counts)
-              mean += sample(f + (j * C + c) * P, t);
-          mean /= static_cast<T>(count);
-          const T scale = 2 * g[(c * D + d) * P + pixel] / static_cast<T>(count);
-          for (Index j = 0; j < N; ++j) {
-            const Tap<T>& t = taps[static_cast<std::size_t>(j)];
-            if (!t.counts) continue;
-            const T e = scale * (sample(f + (j * C + c) * P, t) - mean);
-            for (std::size_t k = 0; k < 4; ++k) df[(j * C + c) * P + t.at[k]] += t.weight[k] * e;
-          }
-        });
-    });
-  });
+  return BasicVar<T>::record("plane_sweep_variance", out, {features},
+                             [sweep = std::move(sweep), range = std::move(range)](Node<T>& n) {
+                               if (T* df = n.grad_in(0))
+                                 add_gradient(sweep, range, n.in(0), n.grad.data(), df);
+                             });
 }
 
 template BasicVar<float> plane_sweep_variance(const BasicVar<float>&, Index,

@@ -1,1 +1,245 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
+#include "satsurf/ops/cost_volume.h"
+
+#include <cmath>
+#include <limits>
+#include <string>
+#include <utility>
+
+#include "tests/gradcheck.h"
+#include "tests/ref/cost_volume_ref.h"
+
+using namespace satsurf;
+using test::gradcheck;
+using test::normal;
+using test::plane_sweep_variance_ref;
+
+namespace {
+
+struct Scene {
+  BasicTensor<double> features, heights, valid;
+  std::vector<Quadratic> maps;
+  Index reference = 0;
+};
+
+/// Cameras whose parallax carries part of the samples over the border, with all second-order terms
+/// in use, and some invalid pixels.
+Scene scene(Index N, Index C, Index D, Index H, Index W, Index reference, std::uint64_t seed) {
+  Rng rng(seed);
+  Scene s;
+  s.reference = reference;
+  s.features = normal({N, C, H, W}, seed + 1);
+  s.heights = BasicTensor<double>({D, H, W});
+  for (Index i = 0; i < s.heights.count(); ++i)
+    s.heights[i] =  // the same number in float and double
+        static_cast<float>(200 + 10 * static_cast<double>(i / (H * W)) + rng.uniform(-2, 2));
+  const double w = static_cast<double>(W), h = static_cast<double>(H);
+  for (Index j = 0; j < N; ++j) {
+    Quadratic q;
+    q.offset = {w / 2, h / 2, 200 + 5 * static_cast<double>(D)};
+    q.scale = {w / 2 + 1, h / 2 + 1, 5 * static_cast<double>(D) + 1};
+    for (std::size_t k = 0; k < 2; ++k) {
+      const double size = k == 0 ? w : h;
+      if (size == 1) continue;  // on the only row or column
+      for (std::size_t m = 4; m < 10; ++m) q.coeff[k][m] = 0.02 * size * rng.uniform(-1, 1);
+      q.coeff[k][0] = size / 2 - 0.5 + rng.uniform(-0.5, 0.5);
+      q.coeff[k][1 + k] = 0.45 * size * rng.uniform(0.9, 1.1);
+      q.coeff[k][2 - k] = 0.05 * size * rng.uniform(-1, 1);
+      q.coeff[k][3] = 0.5 * size * rng.uniform(-1, 1);
+    }
+    s.maps.push_back(q);
+  }
+  s.valid = BasicTensor<double>({N, H, W}, 1.0);
+  for (double& v : s.valid.values())
+    if (rng.chance(0.15)) v = 0;
+  return s;
+}
+
+template <class T>
+BasicTensor<T> variance(const Scene& s, bool masked, bool include_reference) {
+  return plane_sweep_variance(BasicVar<T>(s.features.cast<T>()), s.reference, s.maps,
+                              s.heights.cast<T>(), masked ? s.valid.cast<T>() : BasicTensor<T>{},
+                              include_reference)
+      .value();
+}
+
+double worst_difference(const BasicTensor<double>& a, const BasicTensor<double>& b) {
+  REQUIRE(a.shape() == b.shape());
+  double worst = 0;
+  for (Index i = 0; i < a.count(); ++i) {
+    const double e = std::abs(a[i] - b[i]) / std::max(1.0, std::abs(b[i]));
+    if (!(e <= worst)) worst = e;
+  }
+  return worst;
+}
+
+Quadratic shift(double dx, double dy, double per_height) {
+  Quadratic q;
+  q.coeff[0] = {dx, 1, 0, per_height};
+  q.coeff[1] = {dy, 0, 1, 0};
+  return q;
+}
+
+}  // namespace
+
+TEST_CASE("plane_sweep_variance agrees with its definition") {
+  // views, channels, hypotheses, height, width, reference
+  const std::vector<std::array<Index, 6>> cases = {
+      {3, 8, 3, 7, 9, 1},  {3, 5, 2, 6, 70, 0},  {2, 3, 4, 5, 6, 1},
+      {4, 17, 2, 5, 8, 2}, {3, 1, 2, 1, 7, 2},   {3, 2, 3, 6, 1, 0},
+      {2, 4, 1, 1, 1, 0},  {5, 32, 2, 4, 67, 3}, {3, 16, 2, 5, 6, 0}};
+  for (const auto& [N, C, D, H, W, reference] : cases)
+    for (const bool masked : {false, true})
+      for (const bool include : {false, true}) {
+        CAPTURE(N);
+        CAPTURE(C);
+        CAPTURE(W);
+        CAPTURE(masked);
+        CAPTURE(include);
+        const Scene s = scene(N, C, D, H, W, reference, static_cast<std::uint64_t>(40 + C));
+        const auto want =
+            plane_sweep_variance_ref(s.features, reference, s.maps, s.heights,
+                                     masked ? s.valid : BasicTensor<double>{}, include);
+        CHECK(worst_difference(variance<double>(s, masked, include), want) < 1e-12);
+        CHECK(worst_difference(variance<float>(s, masked, include).cast<double>(), want) < 1e-4);
+      }
+}
+
+TEST_CASE("the scenes cover zero, one and more source views per sample") {
+  const Scene s = scene(3, 1, 3, 7, 9, 1, 48);
+  Index zeros = 0;
+  const auto with = variance<double>(s, true, true), without = variance<double>(s, true, false);
+  for (Index i = 0; i < with.count(); ++i) zeros += with[i] == 0 ? 1 : 0;
+  Index single = 0;
+  for (Index i = 0; i < with.count(); ++i) single += with[i] != 0 && without[i] == 0 ? 1 : 0;
+  CHECK(zeros > 5);
+  CHECK(single > 5);
+  CHECK(zeros + single < with.count() - 5);
+}
+
+TEST_CASE("plane_sweep_variance gradient") {
+  // More rows than fit two bands, more pixels than one tile, channels that are no multiple of any
+  // vector.
+  const std::vector<std::array<Index, 6>> cases = {{3, 2, 2, 7, 6, 1}, {2, 3, 2, 3, 5, 0},
+                                                   {4, 5, 2, 4, 3, 2}, {3, 2, 2, 1, 5, 0},
+                                                   {3, 2, 3, 6, 1, 2}, {3, 2, 2, 3, 66, 2}};
+  for (const auto& [N, C, D, H, W, reference] : cases)
+    for (const bool include : {false, true}) {
+      CAPTURE(N);
+      CAPTURE(W);
+      CAPTURE(include);
+      const Scene s = scene(N, C, D, H, W, reference, static_cast<std::uint64_t>(70 + H));
+      test::GradcheckOptions opt;
+      if (N == 2 && !include) opt.zero_ok = {0};  // a single view has no variance
+      CHECK(gradcheck(
+          [&](const test::DoubleVars& v) {
+            return plane_sweep_variance(v[0], s.reference, s.maps, s.heights, s.valid, include);
+          },
+          {s.features}, opt));
+    }
+}
+
+TEST_CASE("plane_sweep_variance by hand") {
+  // One row of three pixels; view 1 is shifted by half a pixel, view 2 lies outside at the second
+  // height.
+  const BasicVar<double> f(BasicTensor<double>::from({3, 1, 1, 3}, {1, 2, 3, 10, 20, 40, 5, 5, 5}));
+  const std::vector<Quadratic> maps = {Quadratic{}, shift(0.5, 0, 0), shift(0, 0, 9)};
+  const auto heights = BasicTensor<double>::from({2, 1, 3}, {0, 0, 0, 1, 1, 1});
+  const auto v = plane_sweep_variance(f, 0, maps, heights, {}).value();
+  // h = 0: {1, 15, 5}, {2, 30, 5}, {3, -, 5};  h = 1: {1, 15}, {2, 30}, {3}
+  const double want[] = {
+      (1 + 225 + 25) / 3.0 - 49, (4 + 900 + 25) / 3.0 - 37.0 * 37 / 9, 1, 49, 196, 0};
+  for (Index i = 0; i < 6; ++i) CHECK(v[i] == doctest::Approx(want[i]).epsilon(1e-14));
+
+  SUBCASE("the nearest pixel decides whether a sample is valid, halves rounded up") {
+    const auto valid = BasicTensor<double>::from({3, 1, 3}, {1, 1, 1, 1, 0, 1, 1, 1, 1});
+    const auto m = plane_sweep_variance(f, 0, maps, heights, valid).value();
+    CHECK(m[0] == doctest::Approx(4));  // 0.5 -> 1, invalid: {1, 5}
+    CHECK(m[1] == doctest::Approx((4 + 900 + 25) / 3.0 - 37.0 * 37 / 9));  // 1.5 -> 2
+    CHECK(m[3] == 0);
+  }
+  SUBCASE("a reference that is invalid still counts") {
+    const auto valid = BasicTensor<double>::from({3, 1, 3}, {0, 0, 0, 1, 1, 1, 1, 1, 1});
+    CHECK(plane_sweep_variance(f, 0, maps, heights, valid).value()[0] == doctest::Approx(want[0]));
+  }
+}
+
+TEST_CASE("plane_sweep_variance keeps its precision far from zero") {
+  Scene s = scene(3, 8, 2, 5, 6, 0, 5);
+  const auto want = plane_sweep_variance_ref(s.features, 0, s.maps, s.heights, {}, true);
+  for (double& f : s.features.values()) f += 100;
+  CHECK(worst_difference(variance<float>(s, false, true).cast<double>(), want) < 1e-4);
+}
+
+TEST_CASE("heights that are not numbers count no source view") {
+  Scene s = scene(3, 2, 1, 3, 4, 0, 6);
+  const double bad[] = {std::numeric_limits<double>::quiet_NaN(),
+                        std::numeric_limits<double>::infinity(),
+                        -std::numeric_limits<double>::infinity(), 1e30};
+  for (Index i = 0; i < 12; ++i) s.heights[i] = bad[i % 4];
+  const auto v = variance<float>(s, true, true);
+  for (Index i = 0; i < v.count(); ++i) CHECK(v[i] == 0);
+}
+
+TEST_CASE("plane_sweep_variance gives the same bits for any number of threads") {
+  const Scene s = scene(3, 9, 3, 37, 41, 1, 8);
+  const auto run = [&](int threads) {
+    set_threads(threads);
+    const Var f(s.features.cast<float>(), true);
+    const Var v =
+        plane_sweep_variance(f, 1, s.maps, s.heights.cast<float>(), s.valid.cast<float>());
+    Rng rng(9);
+    v.backward(normal_tensor<float>(v.shape(), rng));
+    set_threads(0);
+    return std::pair(v.value(), f.grad());
+  };
+  const auto one = run(1), two = run(2), four = run(4);
+  for (const auto& other : {two, four}) {
+    for (Index i = 0; i < one.first.count(); ++i) REQUIRE(one.first[i] == other.first[i]);
+    for (Index i = 0; i < one.second.count(); ++i) REQUIRE(one.second[i] == other.second[i]);
+  }
+}
+
+TEST_CASE("plane_sweep_variance adds to gradients that are already there") {
+  const Scene s = scene(3, 2, 2, 5, 4, 1, 10);
+  const auto grad = [&](int times) {
+    const BasicVar<double> f(s.features, true);
+    for (int k = 0; k < times; ++k) {
+      const auto v = plane_sweep_variance(f, 1, s.maps, s.heights, s.valid);
+      v.backward(BasicTensor<double>(v.shape(), 1.0));
+    }
+    return f.grad();
+  };
+  const auto once = grad(1), twice = grad(2);
+  for (Index i = 0; i < once.count(); ++i) CHECK(twice[i] == doctest::Approx(2 * once[i]));
+}
+
+TEST_CASE("plane_sweep_variance refuses") {
+  const Scene s = scene(3, 2, 2, 5, 4, 1, 11);
+  const BasicVar<double> f(s.features);
+  const auto call = [&](Index reference, std::size_t maps, const BasicTensor<double>& heights,
+                        const BasicTensor<double>& valid) {
+    const std::vector<Quadratic> some(s.maps.begin(),
+                                      s.maps.begin() + static_cast<std::ptrdiff_t>(maps));
+    return plane_sweep_variance(f, reference, some, heights, valid);
+  };
+  CHECK_THROWS_WITH_AS(call(3, 3, s.heights, {}),
+                       "plane_sweep_variance: reference is 3, expected one of 3 views", ShapeError);
+  CHECK_THROWS_WITH_AS(call(-1, 3, s.heights, {}),
+                       "plane_sweep_variance: reference is -1, expected one of 3 views",
+                       ShapeError);
+  CHECK_THROWS_WITH_AS(call(0, 2, s.heights, {}),
+                       "plane_sweep_variance: 2 maps, expected one for each of 3 views",
+                       ShapeError);
+  CHECK_THROWS_WITH_AS(
+      call(0, 3, BasicTensor<double>({2, 5, 3}), {}),
+      "plane_sweep_variance: heights has shape [2,5,3], expected [D H W] with H=5 from features, "
+      "W=4 from features",
+      ShapeError);
+  CHECK_THROWS_WITH_AS(
+      call(0, 3, s.heights, BasicTensor<double>({2, 5, 4})),
+      "plane_sweep_variance: valid has shape [2,5,4], expected [N H W] with N=3 from features, H=5 "
+      "from features, W=4 from features",
+      ShapeError);
+}

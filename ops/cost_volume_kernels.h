@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/shape.h"
+
+#include <cstdint>
+
+// The plane sweep of one reference row, for cost_volume.cpp alone. Features are held channels-last,
+// so a bilinear sample of all channels is four contiguous loads. The channel stride Cs is C rounded
+// up to 4, 8 or a multiple of 16; the channels in between are 0.
+
+namespace satsurf {
+
+inline constexpr Index kSweepTile =
+    64;  // reference pixels worked on together: four cache lines of float
+
+/// A quadratic map restricted to one reference row, in the normalised column a = x ax + a0 and the
+/// normalised height t = (z - z0) tz:  u = (u[0] + a (u[1] + a u[2])) + t ((u[3] + a u[4]) + t
+/// u[5]), likewise v.
+struct SweepMap {
+  double ax, a0, tz, z0;
+  double u[6], v[6];
+};
+
+/// The map of each pixel of a tile:  u = u[0] + t (u[1] + t u2), likewise v.
+template <class T>
+struct SweepLines {
+  T u[2][kSweepTile], v[2][kSweepTile], u2, v2, tz, z0;
+};
+
+/// One source view's samples of a tile at one height hypothesis: upper left neighbour, nearest
+/// pixel, bilinear weights (all 0 where the sample does not count) and 1 where it counts.
+template <class T>
+struct SweepTaps {
+  std::int32_t x[kSweepTile], y[kSweepTile], nearest_x[kSweepTile], nearest_y[kSweepTile];
+  T weight[4][kSweepTile], counts[kSweepTile];
+};
+
+template <class T>
+struct SweepRow {
+  Index H, W, C, Cs, D, J;  ///< J source views, that is all but the reference
+  const SweepMap* maps;     ///< [J]
+  const T* const* sources;  ///< [J] -> [H W Cs]
+  const T* const* valid;    ///< [J] -> [H W], or nullptr for everywhere
+  const T* reference;       ///< [W Cs] the reference's row
+  T reference_counts;       ///< 1, or 0 if the variance is over the source views alone
+  const T* heights;         ///< row of [D H W]
+  // Scratch.
+  SweepLines<T>* lines;  ///< [J]
+  SweepTaps<T>* taps;    ///< [J]
+  T* tile;               ///< [kSweepTile Cs]
+  T* reference_tile;     ///< [kSweepTile Cs], backward only
+  T* samples;            ///< [J Cs]
+};
+
+// Declared once per instruction set, see core/isa.h:
+//   sweep_forward   writes the row of `out` [C D H W]; touched[2 j], touched[2 j + 1] become the
+//   first and last row
+//                   of source j that was read (H and -1 if none)
+//   sweep_backward  `g` is the row of the upstream gradient [C D H W]; adds to the row of
+//   `d_reference` [C H W]
+//                   and to `d_sources`[j], which hold the rows from first_row[j] on,
+//                   channels-last
+//   sweep_to_pixels [C W] with plane_stride between channels to [W Cs]; padding channels become 0
+//   sweep_add_rows  adds the sum of `count` channels-last rows, in order, to [C W]; `tile` as above
+
+namespace isa_baseline {
+template <class T>
+void sweep_forward(const SweepRow<T>& s, T* out, std::int32_t* touched);
+template <class T>
+void sweep_backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sources,
+                    const std::int32_t* first_row);
+template <class T>
+void sweep_to_pixels(const T* planes, Index plane_stride, Index W, Index C, Index Cs, T* pixels);
+template <class T>
+void sweep_add_rows(const T* const* rows, Index count, Index W, Index C, Index Cs, T* planes,
+                    Index plane_stride, T* tile);
+}  // namespace isa_baseline
+
+namespace isa_avx2 {
+template <class T>
+void sweep_forward(const SweepRow<T>& s, T* out, std::int32_t* touched);
+template <class T>
+void sweep_backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sources,
+                    const std::int32_t* first_row);
+template <class T>
+void sweep_to_pixels(const T* planes, Index plane_stride, Index W, Index C, Index Cs, T* pixels);
+template <class T>
+void sweep_add_rows(const T* const* rows, Index count, Index W, Index C, Index Cs, T* planes,
+                    Index plane_stride, T* tile);
+}  // namespace isa_avx2
+
+namespace isa_avx512 {
+template <class T>
+void sweep_forward(const SweepRow<T>& s, T* out, std::int32_t* touched);
+template <class T>
+void sweep_backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sources,
+                    const std::int32_t* first_row);
+template <class T>
+void sweep_to_pixels(const T* planes, Index plane_stride, Index W, Index C, Index Cs, T* pixels);
+template <class T>
+void sweep_add_rows(const T* const* rows, Index count, Index W, Index C, Index Cs, T* planes,
+                    Index plane_stride, T* tile);
+}  // namespace isa_avx512
+
+}  // namespace satsurf
