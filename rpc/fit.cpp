@@ -8,7 +8,7 @@
 #include <sstream>
 #include <vector>
 
-#include <Eigen/Dense>
+#include <Eigen/QR>
 
 namespace satsurf::rpc {
 namespace {
@@ -127,7 +127,8 @@ std::array<double, 4> quaternion(const Vec3& c0, const Vec3& c1, const Vec3& c2)
     q = {c0[1] - c1[0], c0[2] + c2[0], c1[2] + c2[1], 1 + 2 * c2[2] - trace};
   }
   const double length = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-  for (double& v : q) v /= q[0] < 0 ? -length : length;
+  const double factor = (q[0] < 0 ? -1 : 1) / length;
+  for (double& v : q) v *= factor;
   return q;
 }
 
