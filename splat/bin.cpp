@@ -1,0 +1,129 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/splat/bin.h"
+
+#include "satsurf/core/parallel.h"
+
+#include <bit>
+#include <type_traits>
+
+namespace satsurf::splat {
+namespace {
+
+constexpr Index kPiece = 16384;  // items per piece of a counting sort
+
+/// Stable parallel counting sort in which an item may fall into any number of buckets.
+///   visit(i, f)    calls f(bucket) for each bucket of item i
+///   place(i, at)   stores item i at position `at` of the result
+/// The result is unique, so it does not depend on the pieces either. Returns where each bucket
+/// begins.
+template <class Visit, class Allocate, class Place>
+std::vector<Index> counting_sort(Index items, Index buckets, const Visit& visit,
+                                 const Allocate& allocate, const Place& place) {
+  const auto at = [&](Index piece, Index bucket) {
+    return static_cast<std::size_t>(piece * buckets + bucket);
+  };
+  const Index pieces = (items + kPiece - 1) / kPiece;
+  std::vector<Index> next(static_cast<std::size_t>(pieces * buckets));
+  for_range(items, kPiece, [&](Index begin, Index end) {
+    Index* count = next.data() + at(begin / kPiece, 0);
+    for (Index i = begin; i < end; ++i) visit(i, [&](Index bucket) { ++count[bucket]; });
+  });
+  std::vector<Index> first(static_cast<std::size_t>(buckets + 1));
+  Index total = 0;
+  for (Index b = 0; b < buckets; ++b) {
+    first[static_cast<std::size_t>(b)] = total;
+    for (Index p = 0; p < pieces; ++p) {
+      const Index n = next[at(p, b)];
+      next[at(p, b)] = total;
+      total += n;
+    }
+  }
+  first[static_cast<std::size_t>(buckets)] = total;
+  allocate(total);
+  for_range(items, kPiece, [&](Index begin, Index end) {
+    Index* where = next.data() + at(begin / kPiece, 0);
+    for (Index i = begin; i < end; ++i) visit(i, [&](Index bucket) { place(i, where[bucket]++); });
+  });
+  return first;
+}
+
+/// Unsigned numbers whose ascending order is the descending order of the heights.
+template <class T>
+auto descending_key(T height) {
+  using Key = std::conditional_t<sizeof(T) == 4, std::uint32_t, std::uint64_t>;
+  constexpr Key kSign = Key{1} << (8 * sizeof(T) - 1);
+  const Key bits = std::bit_cast<Key>(height + T(0));  // -0 becomes +0: they are equal heights
+  return (bits & kSign) != 0 ? bits : static_cast<Key>(~(bits | kSign));
+}
+
+}  // namespace
+
+TileSpan tiles_of(const Box& box) {
+  if (box.x1 < box.x0) return {0, 0, 0, 0};
+  return {box.x0 / kTile, box.y0 / kTile, box.x1 / kTile + 1, box.y1 / kTile + 1};
+}
+
+template <class T>
+std::vector<std::int32_t> front_to_back(const std::vector<Box>& boxes, const T* heights,
+                                        Index stride) {
+  using Key = decltype(descending_key(T(0)));
+  struct Item {
+    Key key;
+    std::int32_t surfel;
+  };
+  std::vector<Item> items, sorted;
+  items.reserve(boxes.size());
+  for (std::size_t i = 0; i < boxes.size(); ++i)
+    if (boxes[i].x1 >= boxes[i].x0)
+      items.push_back(
+          {descending_key(heights[static_cast<Index>(i) * stride]), static_cast<std::int32_t>(i)});
+
+  // Least significant digit first; bits in which all keys agree need no pass.
+  Key differ = 0;
+  for (const Item& item : items) differ |= item.key ^ items.front().key;
+  constexpr int kDigit = 11;
+  sorted.resize(items.size());
+  for (int shift = 0; shift < static_cast<int>(8 * sizeof(Key)) && (differ >> shift) != 0;
+       shift += kDigit) {
+    constexpr Key kMask = (Key{1} << kDigit) - 1;
+    if (((differ >> shift) & kMask) == 0) continue;
+    counting_sort(
+        static_cast<Index>(items.size()), Index{1} << kDigit,
+        [&](Index i, auto&& f) {
+          f(static_cast<Index>((items[static_cast<std::size_t>(i)].key >> shift) & kMask));
+        },
+        [](Index) {},
+        [&](Index i, Index at) {
+          sorted[static_cast<std::size_t>(at)] = items[static_cast<std::size_t>(i)];
+        });
+    items.swap(sorted);
+  }
+  std::vector<std::int32_t> order(items.size());
+  for (std::size_t i = 0; i < items.size(); ++i) order[i] = items[i].surfel;
+  return order;
+}
+
+TileLists bin(const std::vector<Box>& boxes, const std::vector<std::int32_t>& order, Index height,
+              Index width) {
+  TileLists out;
+  out.columns = (width + kTile - 1) / kTile;
+  out.rows = (height + kTile - 1) / kTile;
+  out.first = counting_sort(
+      static_cast<Index>(order.size()), out.rows * out.columns,
+      [&](Index i, auto&& f) {
+        const auto surfel = static_cast<std::size_t>(order[static_cast<std::size_t>(i)]);
+        const TileSpan span = tiles_of(boxes[surfel]);
+        for (Index y = span.y0; y < span.y1; ++y)
+          for (Index x = span.x0; x < span.x1; ++x) f(y * out.columns + x);
+      },
+      [&](Index total) { out.surfels.resize(static_cast<std::size_t>(total)); },
+      [&](Index i, Index at) {
+        out.surfels[static_cast<std::size_t>(at)] = order[static_cast<std::size_t>(i)];
+      });
+  return out;
+}
+
+template std::vector<std::int32_t> front_to_back(const std::vector<Box>&, const float*, Index);
+template std::vector<std::int32_t> front_to_back(const std::vector<Box>&, const double*, Index);
+
+}  // namespace satsurf::splat

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/shape.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace satsurf::splat {
+
+/// Side of a square tile, px.
+inline constexpr Index kTile = 16;
+
+/// Pixels a surfel may contribute to, both ends included; empty (x1 < x0) for a culled surfel.
+struct Box {
+  std::int32_t x0 = 0, y0 = 0, x1 = -1, y1 = -1;
+};
+
+/// Tiles that a box touches: columns x0..x1-1, rows y0..y1-1.
+struct TileSpan {
+  Index x0, y0, x1, y1;
+  Index count() const { return (x1 - x0) * (y1 - y0); }
+};
+TileSpan tiles_of(const Box& box);
+
+/// Surfels of every tile, front to back.
+struct TileLists {
+  Index columns = 0, rows = 0;
+  std::vector<Index> first;           ///< [rows*columns + 1] where each tile's list begins
+  std::vector<std::int32_t> surfels;  ///< all lists, one behind the other
+  Index count(Index tile) const {
+    return first[static_cast<std::size_t>(tile + 1)] - first[static_cast<std::size_t>(tile)];
+  }
+};
+
+/// Indices of the surfels with a box, by descending height; equal heights keep their order. On a
+/// ray of an affine camera that looks down, the order of heights is the order along the ray, so one
+/// sort serves every tile. heights  of surfel i at heights[i * stride], finite where the box is not
+/// empty
+template <class T>
+std::vector<std::int32_t> front_to_back(const std::vector<Box>& boxes, const T* heights,
+                                        Index stride);
+
+/// Distributes `order` over the tiles of a height x width image, keeping the order within each
+/// tile.
+TileLists bin(const std::vector<Box>& boxes, const std::vector<std::int32_t>& order, Index height,
+              Index width);
+
+}  // namespace satsurf::splat
