@@ -6,6 +6,202 @@
 namespace satsurf::SATSURF_ISA_NS {
 namespace {
 
+#if defined(__AVX512F__)
+constexpr bool kManyRegisters = true;  // 32 vector registers, 16 otherwise
+#else
+constexpr bool kManyRegisters = false;
+#endif
+
+/// Vectors of one register tile of `outputs` channels: as many accumulators as registers allow
+/// beside the inputs, and never so few that the multiply-adds wait for each other.
+constexpr Index tile_vectors(Index outputs) {
+  if (kManyRegisters) return outputs == 8 ? 3 : outputs == 4 ? 6 : 8;
+  return outputs == 4 ? 3 : outputs == 2 ? 4 : 6;
+}
+
+/// Weight columns of one register tile, chosen alike.
+constexpr Index tile_columns(Index outputs) {
+  if (kManyRegisters) return outputs == 8 ? 3 : outputs == 4 ? 6 : 8;
+  return outputs == 4 ? 3 : outputs == 2 ? 4 : 6;
+}
+
+template <class T, Index O, Index V>
+void gather_tile(const T* x, Index c_stride, Index C, const Index* shift, Index taps,
+                 const T* weight, T* out, Index out_stride) {
+  constexpr Index L = kLanes<T>;
+  Batch<T> acc[O][V];
+#pragma GCC unroll 8
+  for (Index o = 0; o < O; ++o)
+#pragma GCC unroll 8
+    for (Index v = 0; v < V; ++v) acc[o][v] = Batch<T>(T(0));
+  for (Index c = 0; c < C; ++c, x += c_stride)
+    for (Index t = 0; t < taps; ++t, weight += kConvBlock) {
+      const T* xt = x + shift[t];
+      Batch<T> in[V];
+#pragma GCC unroll 8
+      for (Index v = 0; v < V; ++v) in[v] = Batch<T>::load_unaligned(xt + v * L);
+#pragma GCC unroll 8
+      for (Index o = 0; o < O; ++o) {
+        const Batch<T> w(weight[o]);
+#pragma GCC unroll 8
+        for (Index v = 0; v < V; ++v) acc[o][v] = xsimd::fma(w, in[v], acc[o][v]);
+      }
+    }
+#pragma GCC unroll 8
+  for (Index o = 0; o < O; ++o)
+#pragma GCC unroll 8
+    for (Index v = 0; v < V; ++v) acc[o][v].store_unaligned(out + o * out_stride + v * L);
+}
+
+/// Tiles of V vectors while they fit, then of half as many, down to one.
+template <class T, Index O, Index V>
+void gather_outputs(const T* x, Index c_stride, Index C, const Index* shift, Index taps,
+                    const T* weight, Index vectors, T* out, Index out_stride) {
+  constexpr Index L = kLanes<T>;
+  for (; vectors >= V; vectors -= V, x += V * L, out += V * L)
+    gather_tile<T, O, V>(x, c_stride, C, shift, taps, weight, out, out_stride);
+  if constexpr (V > 1)
+    gather_outputs<T, O, (V + 1) / 2>(x, c_stride, C, shift, taps, weight, vectors, out,
+                                      out_stride);
+}
+
+template <class T>
+void gather(const T* x, Index c_stride, Index C, const Index* shift, Index taps, const T* weight,
+            Index outputs, Index n, T* out, Index out_stride) {
+  const Index vectors = (n + kLanes<T> - 1) / kLanes<T>;
+  const auto run = [&]<Index O>() {
+    gather_outputs<T, O, tile_vectors(O)>(x, c_stride, C, shift, taps, weight, vectors, out,
+                                          out_stride);
+    weight += O;
+    out += O * out_stride;
+    outputs -= O;
+  };
+  if constexpr (kManyRegisters)
+    while (outputs >= 8) run.template operator()<8>();
+  while (outputs >= 4) run.template operator()<4>();
+  while (outputs >= 2) run.template operator()<2>();
+  while (outputs >= 1) run.template operator()<1>();
+}
+
+/// Keeps a vector that several multiply-adds share in its register: compilers fold the load into
+/// each of them instead, which makes the loads the bottleneck.
+template <class T>
+void keep_in_register(Batch<T>& b) {
+#if defined(__AVX512F__)
+  asm("" : "+v"(b.data));
+#elif defined(__x86_64__)
+  asm("" : "+x"(b.data));
+#else
+  (void)b;
+#endif
+}
+
+/// One tile of O of the packed gradient's outputs by Q columns.
+template <class T, Index O, Index Q>
+void gradient_tile(const T* x, const ConvSegment* segments, Index count, Index column, const T* g,
+                   Index outputs, T* partial) {
+  constexpr Index L = kLanes<T>;
+  Batch<T> acc[Q][O];
+#pragma GCC unroll 8
+  for (Index q = 0; q < Q; ++q)
+#pragma GCC unroll 8
+    for (Index o = 0; o < O; ++o)
+      acc[q][o] = Batch<T>::load_aligned(partial + (q * outputs + o) * L);
+  for (Index s = 0; s < count; ++s) {
+    const T* xs[Q];
+#pragma GCC unroll 8
+    for (Index q = 0; q < Q; ++q) xs[q] = x + segments[s].columns[column + q] + segments[s].first;
+    const Index n = segments[s].vectors * L;
+    for (Index p = 0; p < n; p += L, g += outputs * L) {
+      Batch<T> in[Q];
+#pragma GCC unroll 8
+      for (Index q = 0; q < Q; ++q) in[q] = Batch<T>::load_unaligned(xs[q] + p);
+#pragma GCC unroll 8
+      for (Index o = 0; o < O; ++o) {
+        Batch<T> go = Batch<T>::load_aligned(g + o * L);
+        keep_in_register(go);
+#pragma GCC unroll 8
+        for (Index q = 0; q < Q; ++q) acc[q][o] = xsimd::fma(go, in[q], acc[q][o]);
+      }
+    }
+  }
+#pragma GCC unroll 8
+  for (Index q = 0; q < Q; ++q)
+#pragma GCC unroll 8
+    for (Index o = 0; o < O; ++o) acc[q][o].store_aligned(partial + (q * outputs + o) * L);
+}
+
+template <class T>
+void weight_gradient(const T* x, const ConvSegment* segments, Index count, const T* g,
+                     Index outputs, Index groups, T* partial) {
+  constexpr Index L = kLanes<T>;
+  const auto run = [&]<Index O, Index Q>() {
+    for (Index i = 0; i < groups; ++i)
+      for (Index o = 0; o < outputs; o += O)
+        gradient_tile<T, O, Q>(x, segments, count, i * Q, g + o * L, outputs,
+                               partial + (i * Q * outputs + o) * L);
+  };
+  if constexpr (kManyRegisters)
+    if (outputs == 8) return run.template operator()<8, tile_columns(8)>();
+  if (outputs % 4 == 0) return run.template operator()<4, tile_columns(4)>();
+  if (outputs % 2 == 0) return run.template operator()<2, tile_columns(2)>();
+  run.template operator()<1, tile_columns(1)>();
+}
+
+template <class T>
+void sum_lanes(const T* vectors, Index n, T* out) {
+  for (Index i = 0; i < n; ++i) {
+    T total = 0;
+    for (Index l = 0; l < kLanes<T>; ++l) total += vectors[i * kLanes<T> + l];
+    out[i] = total;
+  }
+}
+
+template <class T>
+void pad_row(const T* src, Index n, Index first, Index step, T* dst, Index count) {
+  Index begin = first >= 0 ? 0 : (-first + step - 1) / step;
+  Index end = n > first ? (n - first + step - 1) / step : 0;
+  if (begin > count) begin = count;
+  if (end > count) end = count;
+  if (end < begin) end = begin;
+  for (Index i = 0; i < begin; ++i) dst[i] = T(0);
+  if (step == 1)
+    for (Index i = begin; i < end; ++i) dst[i] = src[first + i];
+  else if (step == 2)
+    for (Index i = begin; i < end; ++i) dst[i] = src[first + 2 * i];
+  else
+    for (Index i = begin; i < end; ++i) dst[i] = src[first + step * i];
+  for (Index i = end; i < count; ++i) dst[i] = T(0);
+}
+
+template <class T>
+void store_row(const T* __restrict src, Index phase_stride, Index phases, T bias, bool accumulate,
+               T* __restrict dst, Index n) {
+  if (phases == 1) {
+    if (accumulate)
+      for (Index i = 0; i < n; ++i) dst[i] += src[i] + bias;
+    else
+      for (Index i = 0; i < n; ++i) dst[i] = src[i] + bias;
+  } else if (phases == 2) {
+    const T* odd = src + phase_stride;
+    const Index pairs = n / 2;
+    if (accumulate)
+      for (Index i = 0; i < pairs; ++i) {
+        dst[2 * i] += src[i] + bias;
+        dst[2 * i + 1] += odd[i] + bias;
+      }
+    else
+      for (Index i = 0; i < pairs; ++i) {
+        dst[2 * i] = src[i] + bias;
+        dst[2 * i + 1] = odd[i] + bias;
+      }
+    if (n % 2 != 0) dst[n - 1] = (accumulate ? dst[n - 1] : T(0)) + src[pairs] + bias;
+  } else {
+    for (Index i = 0; i < n; ++i)
+      dst[i] = (accumulate ? dst[i] : T(0)) + src[i % phases * phase_stride + i / phases] + bias;
+  }
+}
+
 template <class T>
 T sum(const T* x, Index n) {
   constexpr Index L = kLanes<T>;
@@ -25,11 +221,26 @@ T sum(const T* x, Index n) {
   return total;
 }
 
+/// The tile that weight_gradient picks for a number of outputs.
+constexpr Index column_group(Index outputs) {
+  if (kManyRegisters && outputs == 8) return tile_columns(8);
+  return outputs % 4 == 0 ? tile_columns(4) : outputs % 2 == 0 ? tile_columns(2) : tile_columns(1);
+}
+
 }  // namespace
 
 template <class T>
 const ConvKernels<T>& conv_kernels() {
-  static constexpr ConvKernels<T> kernels{.sum = sum<T>};
+  static constexpr ConvKernels<T> kernels{
+      .lanes = kLanes<T>,
+      .column_group = {0, column_group(1), column_group(2), column_group(3), column_group(4),
+                       column_group(5), column_group(6), column_group(7), column_group(8)},
+      .gather = gather<T>,
+      .weight_gradient = weight_gradient<T>,
+      .sum_lanes = sum_lanes<T>,
+      .pad_row = pad_row<T>,
+      .store_row = store_row<T>,
+      .sum = sum<T>};
   return kernels;
 }
 template const ConvKernels<float>& conv_kernels();

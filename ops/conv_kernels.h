@@ -5,9 +5,45 @@
 
 namespace satsurf {
 
-/// Inner loops of the convolutions for one instruction set.
+/// Output channels whose weights stand next to each other in packed weights.
+inline constexpr Index kConvBlock = 8;
+
+/// A run of vectors of one packed gradient plane and what each weight column reads beside it.
+struct ConvSegment {
+  const Index* columns;  ///< element of the slab that column q multiplies with position 0
+  Index first;           ///< first position, in elements
+  Index vectors;         ///< number of vectors
+};
+
+/// Inner loops of the convolutions for one instruction set. They know nothing of strides, padding
+/// or rank: the caller lays the input out such that position p of an output reads position p +
+/// shift of a slab.
 template <class T>
 struct ConvKernels {
+  Index lanes;                         ///< elements per vector
+  Index column_group[kConvBlock + 1];  ///< weight columns per register tile, by number of outputs
+
+  /// out[o][p] = sum_{c,t} weight[c][t][o] x[c * c_stride + shift[t] + p] for 0 <= p < n.
+  /// Reads x and writes out up to n rounded up to whole vectors; weight is [C taps kConvBlock].
+  void (*gather)(const T* x, Index c_stride, Index C, const Index* shift, Index taps,
+                 const T* weight, Index outputs, Index n, T* out, Index out_stride);
+
+  /// partial[q][o][lane] += sum_vectors g[vector][o][lane] x[columns[q] + position], for the
+  /// segments one after another; q < groups * column_group[outputs]. Vectors of g stand in the
+  /// segments' order.
+  void (*weight_gradient)(const T* x, const ConvSegment* segments, Index count, const T* g,
+                          Index outputs, Index groups, T* partial);
+
+  /// out[i] = sum of the lanes of vector i of `vectors`
+  void (*sum_lanes)(const T* vectors, Index n, T* out);
+
+  /// dst[i] = src[first + i * step] where that index is in [0, n), else 0, for 0 <= i < count
+  void (*pad_row)(const T* src, Index n, Index first, Index step, T* dst, Index count);
+
+  /// dst[m * phases + f] = (accumulate ? itself : 0) + bias + src[f * phase_stride + m], below n
+  void (*store_row)(const T* src, Index phase_stride, Index phases, T bias, bool accumulate, T* dst,
+                    Index n);
+
   /// Sum of n elements in a fixed order.
   T (*sum)(const T* x, Index n);
 };

@@ -1,1 +1,299 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/ops/pointwise_kernels.h"
+
+#include "satsurf/core/simd.h"
+#include "satsurf/ops/norm.h"
+
+namespace satsurf::SATSURF_ISA_NS {
+namespace {
+
+/// body(at, lanes) for whole batches, then once for what is left over; it loads and stores through
+/// the two functions below, which touch `lanes` elements only.
+template <class T, class Body>
+void each_batch(Index n, const Body& body) {
+  constexpr Index L = kLanes<T>;
+  Index i = 0;
+  for (; i + L <= n; i += L) body(i, L);
+  if (i < n) body(i, n - i);
+}
+
+/// Lanes beyond `lanes` become 0.
+template <class T>
+Batch<T> load(const T* p, Index lanes) {
+  if (lanes == kLanes<T>) return Batch<T>::load_unaligned(p);
+  alignas(Batch<T>) T whole[kLanes<T>] = {};
+  for (Index k = 0; k < lanes; ++k) whole[k] = p[k];
+  return Batch<T>::load_aligned(whole);
+}
+template <class T>
+void store(T* p, const Batch<T>& v, Index lanes) {
+  if (lanes == kLanes<T>) return v.store_unaligned(p);
+  alignas(Batch<T>) T whole[kLanes<T>];
+  v.store_aligned(whole);
+  for (Index k = 0; k < lanes; ++k) p[k] = whole[k];
+}
+
+/// Standard normal distribution function and density.
+inline void normal_distribution(const Batch<double>& x, Batch<double>& cdf,
+                                Batch<double>& density) {
+  cdf = 0.5 * (1.0 + xsimd::erf(x * 0.70710678118654752440));
+  density = 0.39894228040143267794 * xsimd::exp(-0.5 * x * x);
+}
+inline void normal_distribution(const Batch<float>& x, Batch<float>& cdf, Batch<float>& density) {
+  // erfc(z) exp(z^2) for z = |x| / sqrt 2 as a polynomial in t = 1 / (1 + 0.4 z): Chebyshev fit on
+  // z <= 9.4, error 8e-9. One exponential serves both results.
+  const Batch<float> t = 1.0f / (1.0f + 0.28284271f * xsimd::abs(x));
+  const float c[] = {-0.00556853959f, -0.222986896f, 0.483438187f, -0.237060009f,  0.356712266f,
+                     0.147815247f,    0.237513726f,  0.224363594f, 6.22769063e-05f};
+  Batch<float> series(0.0157101552f);
+  for (const float k : c) series = xsimd::fma(series, t, Batch<float>(k));
+  const Batch<float> bell = xsimd::exp(-0.5f * x * x);
+  const Batch<float> tail = 0.5f * series * bell;
+  cdf = xsimd::select(x < 0.0f, tail, 1.0f - tail);
+  density = 0.39894228f * bell;
+}
+
+template <class T>
+Batch<T> gelu_of(const Batch<T>& x) {
+  Batch<T> cdf, density;
+  normal_distribution(x, cdf, density);
+  return x * cdf;
+}
+template <class T>
+Batch<T> gelu_slope(const Batch<T>& x) {
+  Batch<T> cdf, density;
+  normal_distribution(x, cdf, density);
+  return xsimd::fma(x, density, cdf);
+}
+
+/// Sums of two series: at most kRun batches are added in T before they go to double.
+template <class T>
+class PairSum {
+ public:
+  void add(const Batch<T>& a, const Batch<T>& b) {
+    a_ += a;
+    b_ += b;
+    if (++batches_ == kRun) flush();
+  }
+  void result(double* sums) {
+    flush();
+    sums[0] = total_a_;
+    sums[1] = total_b_;
+  }
+
+ private:
+  static constexpr int kRun = 32;
+  void flush() {
+    alignas(Batch<T>) T lanes[kLanes<T>];
+    a_.store_aligned(lanes);
+    for (const T v : lanes) total_a_ += static_cast<double>(v);
+    b_.store_aligned(lanes);
+    for (const T v : lanes) total_b_ += static_cast<double>(v);
+    a_ = b_ = Batch<T>(T(0));
+    batches_ = 0;
+  }
+  Batch<T> a_{T(0)}, b_{T(0)};
+  double total_a_ = 0, total_b_ = 0;
+  int batches_ = 0;
+};
+
+struct NoActivation {
+  template <class B>
+  B value(const B& z) const {
+    return z;
+  }
+  template <class B>
+  B times_slope(const B& g, const B&) const {
+    return g;
+  }
+};
+struct Relu {
+  template <class B>
+  B value(const B& z) const {
+    return xsimd::max(z, B(0));
+  }
+  template <class B>
+  B times_slope(const B& g, const B& z) const {
+    return xsimd::select(z > B(0), g, B(0));
+  }
+};
+struct Gelu {
+  template <class B>
+  B value(const B& z) const {
+    return gelu_of(z);
+  }
+  template <class B>
+  B times_slope(const B& g, const B& z) const {
+    return g * gelu_slope(z);
+  }
+};
+
+template <class Body>
+void with_activation(Activation activation, const Body& body) {
+  if (activation == Activation::relu)
+    body(Relu{});
+  else if (activation == Activation::gelu)
+    body(Gelu{});
+  else
+    body(NoActivation{});
+}
+
+}  // namespace
+
+template <class T>
+void relu_backward(Index n, const T* y, const T* g, T* d) {
+  each_batch<T>(n, [=](Index i, Index k) {
+    store(d + i, load(d + i, k) + Relu{}.times_slope(load(g + i, k), load(y + i, k)), k);
+  });
+}
+
+template <class T>
+void gelu(Index n, const T* x, T* y) {
+  each_batch<T>(n, [=](Index i, Index k) { store(y + i, gelu_of(load(x + i, k)), k); });
+}
+
+template <class T>
+void gelu_backward(Index n, const T* x, const T* g, T* d) {
+  each_batch<T>(n, [=](Index i, Index k) {
+    store(d + i, xsimd::fma(load(g + i, k), gelu_slope(load(x + i, k)), load(d + i, k)), k);
+  });
+}
+
+template <class T>
+void logistic(Index n, const T* x, T* y) {
+  each_batch<T>(n, [=](Index i, Index k) {
+    const Batch<T> v = load(x + i, k), e = xsimd::exp(-xsimd::abs(v));  // never overflows
+    store(y + i, xsimd::select(v < T(0), e, Batch<T>(1)) / (T(1) + e), k);
+  });
+}
+
+template <class T>
+void norm_sums(Index n, const T* x, T shift, double* sums) {
+  PairSum<T> total;
+  const Index whole = n / kLanes<T> * kLanes<T>;
+  each_batch<T>(whole, [&](Index i, Index k) {
+    const Batch<T> e = load(x + i, k) - shift;
+    total.add(e, e * e);
+  });
+  total.result(sums);
+  for (Index i = whole; i < n; ++i) {
+    const double e = static_cast<double>(x[i] - shift);
+    sums[0] += e;
+    sums[1] += e * e;
+  }
+}
+
+template <class T>
+void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, T* y) {
+  with_activation(activation, [&](const auto& act) {
+    each_batch<T>(n, [&](Index i, Index k) {
+      const Batch<T> x_hat = xsimd::fma(load(x + i, k), Batch<T>(row.rstd), Batch<T>(row.shift));
+      store(y + i, act.value(xsimd::fma(x_hat, Batch<T>(row.gamma), Batch<T>(row.beta))), k);
+    });
+  });
+}
+
+template <class T>
+void norm_slopes(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
+                 T* dz, double* sums) {
+  PairSum<T> total;
+  with_activation(activation, [&](const auto& act) {
+    each_batch<T>(n, [&](Index i, Index k) {
+      const Batch<T> x_hat = xsimd::fma(load(x + i, k), Batch<T>(row.rstd), Batch<T>(row.shift));
+      const Batch<T> z = xsimd::fma(x_hat, Batch<T>(row.gamma), Batch<T>(row.beta));
+      const Batch<T> slope = act.times_slope(load(g + i, k), z);  // 0 beyond k, where g is 0
+      if (dz != nullptr) store(dz + i, slope, k);
+      total.add(slope, slope * x_hat);
+    });
+  });
+  total.result(sums);
+}
+
+template <class T>
+void norm_gradient(Index n, const T* x, const T* dz, const NormRow<T>& row, bool relu_mask, T a,
+                   T b, T c, T* d) {
+  const auto loop = [&](const auto& act) {
+    each_batch<T>(n, [&](Index i, Index k) {
+      const Batch<T> v = load(x + i, k);
+      const Batch<T> x_hat = xsimd::fma(v, Batch<T>(row.rstd), Batch<T>(row.shift));
+      const Batch<T> z = xsimd::fma(x_hat, Batch<T>(row.gamma), Batch<T>(row.beta));
+      const Batch<T> slope = act.times_slope(load(dz + i, k), z);
+      const Batch<T> rest = xsimd::fma(x_hat, Batch<T>(b), Batch<T>(c));
+      store(d + i, load(d + i, k) + xsimd::fma(slope, Batch<T>(a), rest), k);
+    });
+  };
+  if (relu_mask)
+    loop(Relu{});
+  else
+    loop(NoActivation{});
+}
+
+template <class T>
+void softmax(Index D, Index stride, Index n, const T* x, T* y, T* tile) {
+  constexpr Index L = kLanes<T>, S = kSoftmaxTile;
+  // The tile is contiguous; the planes are often a power of two apart and would evict each other.
+  for (Index d = 0; d < D; ++d)
+    each_batch<T>(n, [&](Index i, Index k) {
+      load(x + d * stride + i, k).store_unaligned(tile + d * S + i);
+    });
+  for (Index i = 0; i < n; i += L) {
+    Batch<T> top = Batch<T>::load_unaligned(tile + i), total(T(0));
+    for (Index d = 1; d < D; ++d) top = xsimd::max(top, Batch<T>::load_unaligned(tile + d * S + i));
+    for (Index d = 0; d < D; ++d) {
+      const Batch<T> e = xsimd::exp(Batch<T>::load_unaligned(tile + d * S + i) - top);
+      total += e;
+      e.store_unaligned(tile + d * S + i);
+    }
+    const Batch<T> share = T(1) / total;
+    for (Index d = 0; d < D; ++d)
+      (Batch<T>::load_unaligned(tile + d * S + i) * share).store_unaligned(tile + d * S + i);
+  }
+  for (Index d = 0; d < D; ++d)
+    each_batch<T>(n, [&](Index i, Index k) {
+      store(y + d * stride + i, Batch<T>::load_unaligned(tile + d * S + i), k);
+    });
+}
+
+template <class T>
+void softmax_backward(Index D, Index stride, Index n, const T* p, const T* g, T* d, T* tile) {
+  each_batch<T>(n, [&](Index i, Index) { Batch<T>(T(0)).store_unaligned(tile + i); });
+  for (Index h = 0; h < D; ++h)
+    each_batch<T>(n, [&](Index i, Index k) {
+      const Batch<T> mean = Batch<T>::load_unaligned(tile + i);
+      xsimd::fma(load(p + h * stride + i, k), load(g + h * stride + i, k), mean)
+          .store_unaligned(tile + i);
+    });
+  for (Index h = 0; h < D; ++h)
+    each_batch<T>(n, [&](Index i, Index k) {
+      const Index at = h * stride + i;
+      const Batch<T> e = load(g + at, k) - Batch<T>::load_unaligned(tile + i);
+      store(d + at, xsimd::fma(load(p + at, k), e, load(d + at, k)), k);
+    });
+}
+
+template void relu_backward(Index, const float*, const float*, float*);
+template void relu_backward(Index, const double*, const double*, double*);
+template void gelu(Index, const float*, float*);
+template void gelu(Index, const double*, double*);
+template void gelu_backward(Index, const float*, const float*, float*);
+template void gelu_backward(Index, const double*, const double*, double*);
+template void logistic(Index, const float*, float*);
+template void logistic(Index, const double*, double*);
+template void norm_sums(Index, const float*, float, double*);
+template void norm_sums(Index, const double*, double, double*);
+template void norm_apply(Index, const float*, const NormRow<float>&, Activation, float*);
+template void norm_apply(Index, const double*, const NormRow<double>&, Activation, double*);
+template void norm_slopes(Index, const float*, const float*, const NormRow<float>&, Activation,
+                          float*, double*);
+template void norm_slopes(Index, const double*, const double*, const NormRow<double>&, Activation,
+                          double*, double*);
+template void norm_gradient(Index, const float*, const float*, const NormRow<float>&, bool, float,
+                            float, float, float*);
+template void norm_gradient(Index, const double*, const double*, const NormRow<double>&, bool,
+                            double, double, double, double*);
+template void softmax(Index, Index, Index, const float*, float*, float*);
+template void softmax(Index, Index, Index, const double*, double*, double*);
+template void softmax_backward(Index, Index, Index, const float*, const float*, float*, float*);
+template void softmax_backward(Index, Index, Index, const double*, const double*, double*, double*);
+
+}  // namespace satsurf::SATSURF_ISA_NS

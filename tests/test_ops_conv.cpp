@@ -153,8 +153,8 @@ TEST_CASE("convolution kernels agree with nested loops on every instruction set"
   for (const Isa isa : {Isa::baseline, Isa::avx2, Isa::avx512}) {
     if (!available(isa)) continue;
     for (const Case& c : kCases) {
-      CAPTURE(isa_name(isa));
-      CAPTURE(c.name);
+      CAPTURE(std::string(isa_name(isa)));
+      CAPTURE(std::string(c.name));
       check_case<float>(c, isa);
       check_case<double>(c, isa);
     }
@@ -234,7 +234,7 @@ TEST_CASE("conv_transpose3d is the adjoint of conv3d") {
 
 TEST_CASE("convolutions give the same bits on one and on two threads") {
   for (const Case& c : kCases) {
-    CAPTURE(c.name);
+    CAPTURE(std::string(c.name));
     CHECK(results(c, 1) == results(c, 2));
   }
 }

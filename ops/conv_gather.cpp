@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
+#include "satsurf/ops/conv_engine.h"
+#include "satsurf/ops/conv_slab.h"
+
+#include <algorithm>
+#include <vector>
+
+namespace satsurf::conv {
+namespace {
+
+constexpr Index kPieces = 16;  // enough for some threads to balance
+
+/// One output phase of each axis, and the kernel positions that reach it.
+struct PhaseTaps {
+  const AxisPhase *z, *y, *x;
+  Index first_row, first_column;  ///< first output of the phase
+  std::vector<Index> taps;
+  Index before;  ///< taps of the phases in front of this one
+};
+
+/// Depth, row and column phases nested in this order.
+std::vector<PhaseTaps> list_phases(const Axes& axes, const Geometry& g) {
+  std::vector<PhaseTaps> list;
+  Index before = 0;
+  for (const AxisPhase& z : axes[0].phases)
+    for (const AxisPhase& y : axes[1].phases)
+      for (const AxisPhase& x : axes[2].phases) {
+        std::vector<Index> taps;
+        for (const AxisTap& i : z.taps)
+          for (const AxisTap& j : y.taps)
+            for (const AxisTap& k : x.taps)
+              taps.push_back((i.tap * g.kernel[1] + j.tap) * g.kernel[2] + k.tap);
+        const Index count = static_cast<Index>(taps.size());
+        list.push_back({&z, &y, &x, &y - axes[1].phases.data(), &x - axes[2].phases.data(),
+                        std::move(taps), before});
+        before += count;
+      }
+  return list;
+}
+
+/// Where the weight of output channel o and input channel c starts.
+struct WeightStrides {
+  Index o, c;
+};
+
+/// What a correlation and its adjoint share: O channels gathered from C channels.
+template <class T>
+class Gather {
+ public:
+  Gather(const ConvKernels<T>& kernels, Axes axes, const Geometry& g, Index C, Index O,
+         const std::array<Index, 3>& out_size)
+      : kernels_(kernels),
+        axes_(std::move(axes)),
+        B_(g.B),
+        C_(C),
+        O_(O),
+        K_(g.taps()),
+        out_size_(out_size),
+        in_count_(axes_[0].size * axes_[1].size * axes_[2].size),
+        phases_(list_phases(axes_, g)) {}
+
+  void run(const T* in, const T* weight, WeightStrides stride, const T* bias, T* out,
+           bool accumulate) const {
+    const auto packed = pack(weight, stride);
+    const Index planes = axes_[0].span();
+    const Pieces pieces(B_, axes_, rows_in_cache<T>(axes_, C_, planes), kPieces);
+    for_each_index(pieces.count(), [&](Index i) {
+      const Piece piece = pieces[i];
+      Slab<T> slab(kernels_, axes_, C_, piece.rows, planes);
+      slab.open(in + piece.b * C_ * in_count_, piece.row);
+      run_piece(piece, slab, packed.data(), bias, out, accumulate);
+    });
+  }
+
+ private:
+  /// [block of outputs][phase][c][tap][kConvBlock]; outputs beyond O are zero.
+  BasicTensor<T> pack(const T* weight, WeightStrides stride) const {
+    const Index blocks = ceil_div(O_, kConvBlock);
+    auto packed = BasicTensor<T>::uninitialised({blocks * C_ * K_ * kConvBlock});
+    for_range(blocks * C_, std::max<Index>(1, 4096 / (K_ * kConvBlock)),
+              [&](Index begin, Index end) {
+                for (Index i = begin; i < end; ++i)
+                  pack_channel(i / C_, i % C_, weight + i % C_ * stride.c, stride.o, packed.data());
+              });
+    return packed;
+  }
+
+  void pack_channel(Index block, Index c, const T* weight, Index o_stride, T* packed) const {
+    for (const PhaseTaps& phase : phases_) {
+      const Index taps = static_cast<Index>(phase.taps.size());
+      T* dst = packed + ((block * K_ + phase.before) * C_ + c * taps) * kConvBlock;
+      for (const Index t : phase.taps)
+        for (Index o = block * kConvBlock; o < (block + 1) * kConvBlock; ++o)
+          *dst++ = o < O_ ? weight[o * o_stride + t] : T(0);
+    }
+  }
+
+  void run_piece(const Piece& piece, Slab<T>& slab, const T* packed, const T* bias, T* out,
+                 bool accumulate) const {
+    const Index column_phases = static_cast<Index>(axes_[2].phases.size());
+    const Index depth_phases = static_cast<Index>(axes_[0].phases.size());
+    const Index width = ceil_div(piece.rows * slab.pitch(), kernels_.lanes) * kernels_.lanes;
+    auto lines = BasicTensor<T>::uninitialised({column_phases, kConvBlock, width});
+    std::vector<Index> shifts(static_cast<std::size_t>(K_));
+    for (Index m = piece.z; m < piece.z_end; ++m) {
+      slab.load(m * axes_[0].reads, m * axes_[0].reads + axes_[0].span());
+      // Phases that differ in the column only fill the same rows and go together.
+      for (std::size_t f = 0; f < phases_.size(); f += static_cast<std::size_t>(column_phases)) {
+        const PhaseTaps* phase = &phases_[f];
+        const Index rows = std::min(piece.rows, phase->y->count - piece.row);
+        if (m >= phase->z->count || rows <= 0) continue;
+        const Index z = (phase->z - axes_[0].phases.data()) + m * depth_phases;
+        set_shifts(phase, column_phases, m, slab, shifts.data());
+        for (Index o = 0; o < O_; o += kConvBlock) {
+          const Index outputs = std::min(kConvBlock, O_ - o);
+          for (Index x = 0; x < column_phases; ++x) {
+            const Index taps = static_cast<Index>(phase[x].taps.size());
+            const Index n = (rows - 1) * slab.pitch() + phase[x].x->count;
+            kernels_.gather(slab.data(), slab.c_stride(), C_,
+                            shifts.data() + phase[x].before - phase->before, taps,
+                            packed + (o * K_ + phase[x].before * kConvBlock) * C_, outputs, n,
+                            lines.data() + x * kConvBlock * width, width);
+          }
+          store(piece, *phase, z, rows, o, outputs, slab.pitch(), lines, bias, out, accumulate);
+        }
+      }
+    }
+  }
+
+  void set_shifts(const PhaseTaps* phase, Index column_phases, Index m, const Slab<T>& slab,
+                  Index* shift) const {
+    for (Index x = 0; x < column_phases; ++x)
+      for (const AxisTap& i : phase[x].z->taps)
+        for (const AxisTap& j : phase[x].y->taps)
+          for (const AxisTap& k : phase[x].x->taps) *shift++ = slab.shift(m, i, j, k);
+  }
+
+  void store(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
+             Index outputs, Index pitch, const BasicTensor<T>& lines, const T* bias, T* out,
+             bool accumulate) const {
+    const Index row_phases = static_cast<Index>(axes_[1].phases.size());
+    const Index column_phases = lines.dim(0), width = lines.dim(2);
+    for (Index i = 0; i < outputs; ++i) {
+      T* plane = out + ((piece.b * O_ + o + i) * out_size_[0] + z) * out_size_[1] * out_size_[2];
+      const T b = bias == nullptr ? T(0) : bias[o + i];
+      for (Index r = 0; r < rows; ++r)
+        kernels_.store_row(
+            lines.data() + i * width + r * pitch, kConvBlock * width, column_phases, b, accumulate,
+            plane + (phase.first_row + (piece.row + r) * row_phases) * out_size_[2], out_size_[2]);
+    }
+  }
+
+  const ConvKernels<T>& kernels_;
+  const Axes axes_;
+  const Index B_, C_, O_, K_;
+  const std::array<Index, 3> out_size_;
+  const Index in_count_;
+  const std::vector<PhaseTaps> phases_;
+};
+
+}  // namespace
+
+template <class T>
+void correlate(const ConvKernels<T>& kernels, const Geometry& g, const T* x, const T* weight,
+               const T* bias, T* y, bool accumulate) {
+  const Index K = g.taps();
+  const Gather<T> gather(kernels, correlation_axes(g), g, g.C, g.O, g.y_size);
+  gather.run(x, weight, {.o = g.C * K, .c = K}, bias, y, accumulate);
+}
+
+template <class T>
+void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& g, const T* y,
+                       const T* weight, const T* bias, T* x, bool accumulate) {
+  const Index K = g.taps();
+  const Gather<T> gather(kernels, adjoint_axes(g), g, g.O, g.C, g.x_size);
+  gather.run(y, weight, {.o = K, .c = g.C * K}, bias, x, accumulate);
+}
+
+template void correlate(const ConvKernels<float>&, const Geometry&, const float*, const float*,
+                        const float*, float*, bool);
+template void correlate(const ConvKernels<double>&, const Geometry&, const double*, const double*,
+                        const double*, double*, bool);
+template void correlate_adjoint(const ConvKernels<float>&, const Geometry&, const float*,
+                                const float*, const float*, float*, bool);
+template void correlate_adjoint(const ConvKernels<double>&, const Geometry&, const double*,
+                                const double*, const double*, double*, bool);
+
+}  // namespace satsurf::conv

@@ -1,0 +1,196 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/ops/conv_slab.h"
+
+#include <algorithm>
+
+namespace satsurf::conv {
+namespace {
+
+constexpr Index kSlabBytes = 384 << 10;  // leaves room for outputs and weights in a 1 MiB cache
+constexpr Index kMinRows = 4;            // below this the rows read twice outweigh the balance
+
+/// An odd number of cache lines: strides near a multiple of 4 KiB would put all planes in the same
+/// sets.
+template <class T>
+Index odd_lines(Index elements) {
+  constexpr Index kLine = 64 / static_cast<Index>(sizeof(T));
+  const Index lines = (elements + kLine - 1) / kLine;
+  return (lines | 1) * kLine;
+}
+
+/// Zeros behind the last row of a plane stand in for the row that would follow.
+template <class T>
+Index plane_stride(const Axes& axes, Index rows) {
+  const Index pitch = row_pitch(axes[2]), borrowed = axes[2].most + axes[2].max_shift - pitch;
+  const Index lines = axes[1].reads * axes[2].reads * (rows + axes[1].max_shift);
+  return odd_lines<T>(lines * pitch + borrowed);
+}
+
+/// Whole vectors are read, beyond the last output's columns.
+template <class T>
+Index tail(const Axes& axes) {
+  return axes[2].most + axes[2].max_shift + 2 * 64 / static_cast<Index>(sizeof(T));
+}
+
+void finish(Axis& axis) {
+  for (const AxisPhase& phase : axis.phases) {
+    axis.most = std::max(axis.most, phase.count);
+    for (const AxisTap& t : phase.taps) axis.max_shift = std::max(axis.max_shift, t.shift);
+  }
+}
+
+}  // namespace
+
+Axes correlation_axes(const Geometry& g) {
+  Axes axes;
+  for (std::size_t a = 0; a < 3; ++a) {
+    Axis& axis = axes[a];
+    axis.size = g.x_size[a];
+    axis.reads = g.stride[a];
+    axis.left = g.padding[a];
+    AxisPhase all{.count = g.y_size[a], .taps = {}};
+    for (Index k = 0; k < g.kernel[a]; ++k) all.taps.push_back({k, k % axis.reads, k / axis.reads});
+    axis.phases.push_back(all);
+    finish(axis);
+  }
+  return axes;
+}
+
+Axes adjoint_axes(const Geometry& g) {
+  Axes axes;
+  for (std::size_t a = 0; a < 3; ++a) {
+    Axis& axis = axes[a];
+    const Index s = g.stride[a], p = g.padding[a];
+    axis.size = g.y_size[a];
+    // x[f + s m] gathers weight[k] y[m + (f + p - k) / s] over the k for which that divides.
+    Index lowest = p / s;
+    for (Index f = 0; f < s; ++f)
+      for (Index k = 0; k < g.kernel[a]; ++k)
+        if ((f + p - k) % s == 0) lowest = std::min(lowest, (f + p - k) / s);
+    axis.left = -lowest;
+    for (Index f = 0; f < s; ++f) {
+      AxisPhase phase{.count = std::max<Index>(0, (g.x_size[a] - f + s - 1) / s), .taps = {}};
+      for (Index k = 0; k < g.kernel[a]; ++k)
+        if ((f + p - k) % s == 0) phase.taps.push_back({k, 0, (f + p - k) / s - lowest});
+      axis.phases.push_back(phase);
+    }
+    finish(axis);
+  }
+  return axes;
+}
+
+Index row_pitch(const Axis& axis) {
+  const auto input = [&](Index i, Index phase) { return i * axis.reads + phase - axis.left; };
+  const Index end = axis.most + axis.max_shift;
+  // With a pitch one smaller, index `pitch - 1` and those behind it would alias the next row's
+  // first ones.
+  const auto may_shrink = [&](Index pitch) {
+    for (Index i = pitch - 1; i < end; ++i)
+      for (Index f = 0; f < axis.reads; ++f)
+        if (input(i, f) < axis.size || input(i - (pitch - 1), f) >= 0) return false;
+    return true;
+  };
+  Index pitch = end;
+  while (pitch > axis.most && may_shrink(pitch)) --pitch;
+  return pitch;
+}
+
+template <class T>
+Slab<T>::Slab(const ConvKernels<T>& kernels, const Axes& axes, Index C, Index rows, Index planes)
+    : kernels_(kernels),
+      axes_(axes),
+      C_(C),
+      planes_(planes),
+      pitch_(row_pitch(axes[2])),
+      line_rows_(rows + axes[1].max_shift),
+      plane_stride_(plane_stride<T>(axes, rows)),
+      c_stride_(odd_lines<T>(planes * plane_stride_)),
+      buffer_(BasicTensor<T>::uninitialised({C * c_stride_ + tail<T>(axes)})) {
+  // What lies between planes may serve as a row's trailing zeros; everything else load_plane
+  // writes.
+  const Index used = axes[1].reads * axes[2].reads * line_rows_ * pitch_;
+  for (Index c = 0; c < C_; ++c) {
+    T* channel = buffer_.data() + c * c_stride_;
+    for (Index i = 0; i < planes_; ++i)
+      std::fill(channel + i * plane_stride_ + used, channel + (i + 1) * plane_stride_, T(0));
+    std::fill(channel + planes_ * plane_stride_, channel + c_stride_, T(0));
+  }
+  std::fill(buffer_.data() + C_ * c_stride_, buffer_.data() + buffer_.count(), T(0));
+}
+
+template <class T>
+Index Slab<T>::bytes(const Axes& axes, Index C, Index rows, Index planes) {
+  return C * planes * plane_stride<T>(axes, rows) * static_cast<Index>(sizeof(T));
+}
+
+template <class T>
+void Slab<T>::open(const T* image, Index row) {
+  image_ = image;
+  row_ = row;
+  next_ = 0;
+}
+
+template <class T>
+void Slab<T>::load(Index first, Index last) {
+  for (next_ = std::max(next_, first); next_ < last; ++next_) load_plane(next_);
+}
+
+template <class T>
+void Slab<T>::load_plane(Index plane) {
+  const Axis &depth = axes_[0], &row = axes_[1], &column = axes_[2];
+  const Index z = plane - depth.left;
+  T* slot = buffer_.data() + plane % planes_ * plane_stride_;
+  for (Index c = 0; c < C_; ++c, slot += c_stride_) {
+    T* dst = slot;
+    for (Index f = 0; f < row.reads; ++f)
+      for (Index h = 0; h < column.reads; ++h)
+        for (Index i = 0; i < line_rows_; ++i, dst += pitch_) {
+          const Index y = (row_ + i) * row.reads + f - row.left;
+          const bool inside = z >= 0 && z < depth.size && y >= 0 && y < row.size;
+          const T* src =
+              inside ? image_ + ((c * depth.size + z) * row.size + y) * column.size : nullptr;
+          kernels_.pad_row(src, inside ? column.size : 0, h - column.left, column.reads, dst,
+                           pitch_);
+        }
+  }
+}
+
+template <class T>
+Index Slab<T>::shift(Index m, const AxisTap& z, const AxisTap& y, const AxisTap& x) const {
+  const Index plane = (m + z.shift) * axes_[0].reads + z.phase;
+  const Index line = (y.phase * axes_[2].reads + x.phase) * line_rows_ + y.shift;
+  return plane % planes_ * plane_stride_ + line * pitch_ + x.shift;
+}
+
+Pieces::Pieces(Index B, const Axes& axes, Index most_rows, Index wanted)
+    : B_(B), D_(std::max<Index>(1, axes[0].most)), H_(std::max<Index>(1, axes[1].most)) {
+  rows_ = std::clamp<Index>(most_rows, 1, H_);
+  // Planes first: cutting between them costs little as long as two or more stay together.
+  z_blocks_ = std::clamp<Index>(ceil_div(wanted, B * ceil_div(H_, rows_)), 1, ceil_div(D_, 2));
+  const Index missing = ceil_div(wanted, B * z_blocks_);
+  if (ceil_div(H_, rows_) < missing)
+    rows_ = std::min(rows_, std::max(kMinRows, ceil_div(H_, missing)));
+  rows_ = ceil_div(H_, ceil_div(H_, rows_));  // even
+  chunks_ = ceil_div(H_, rows_);
+  z_size_ = ceil_div(D_, z_blocks_);
+  z_blocks_ = ceil_div(D_, z_size_);
+}
+
+Piece Pieces::operator[](Index i) const {
+  const Index z = i % z_blocks_ * z_size_, row = i / z_blocks_ % chunks_ * rows_;
+  return {i / z_blocks_ / chunks_, row, std::min(rows_, H_ - row), z, std::min(D_, z + z_size_)};
+}
+
+template <class T>
+Index rows_in_cache(const Axes& axes, Index C, Index planes) {
+  Index rows = std::max<Index>(1, axes[1].most);
+  while (rows > 1 && Slab<T>::bytes(axes, C, rows, planes) > kSlabBytes) rows -= ceil_div(rows, 8);
+  return rows;
+}
+
+template Index rows_in_cache<float>(const Axes&, Index, Index);
+template Index rows_in_cache<double>(const Axes&, Index, Index);
+template class Slab<float>;
+template class Slab<double>;
+
+}  // namespace satsurf::conv
