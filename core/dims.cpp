@@ -27,13 +27,17 @@ Dims& Dims::match_shape(const char* name, const Shape& shape, const char* patter
     if (std::isdigit(static_cast<unsigned char>(l[0])) != 0) {
       if (ok && shape[static_cast<Index>(a)] != std::atol(l.c_str())) ok = false;
     } else if (const Binding* b = find(l)) {
-      if (b->from != name) why += (why.empty() ? " with " : ", ") + l + "=" + std::to_string(b->extent) + " from " + b->from;
+      if (b->from != name)
+        why += (why.empty() ? " with " : ", ") + l + "=" + std::to_string(b->extent) + " from " +
+               b->from;
       if (ok && shape[static_cast<Index>(a)] != b->extent) ok = false;
     } else if (ok) {
       bound_.push_back({l, shape[static_cast<Index>(a)], name});
     }
   }
-  if (!ok) throw ShapeError(where_ + ": " + name + " has shape " + shape.str() + ", expected " + expected + "]" + why);
+  if (!ok)
+    throw ShapeError(where_ + ": " + name + " has shape " + shape.str() + ", expected " + expected +
+                     "]" + why);
   return *this;
 }
 

@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/shape.h"
+
 #include <string>
 #include <vector>
 
-#include "satsurf/core/shape.h"
-
 namespace satsurf {
 
-/// Checks shapes against named extents and binds each name at its first use across the arguments of one op:
+/// Checks shapes against named extents and binds each name at its first use across the arguments of
+/// one op:
 ///   Dims dim("op");  dim.match("cost", cost, "D H W").match("heights", heights, "D");  dim["D"]
-/// A number in the pattern stands for itself. The failing argument is named with what came and what was wanted.
+/// A number in the pattern stands for itself. The failing argument is named with what came and what
+/// was wanted.
 class Dims {
  public:
   explicit Dims(std::string where) : where_(std::move(where)) {}

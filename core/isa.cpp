@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/isa.h"
 
+#include "satsurf/core/error.h"
+
 #include <cstdlib>
 #include <string>
-
-#include "satsurf/core/error.h"
 
 namespace satsurf {
 namespace {
@@ -16,8 +16,10 @@ bool supported(Isa isa) {
       return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
              __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
              __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("fma");
-    case Isa::avx2: return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-    case Isa::baseline: return true;
+    case Isa::avx2:
+      return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    case Isa::baseline:
+      return true;
   }
 #endif
   return isa == Isa::baseline;
@@ -30,9 +32,11 @@ Isa choose() {
     if (wanted != nullptr && *wanted != '\0' && std::string(wanted) != isa_name(isa)) continue;
     if (supported(isa)) return isa;
     if (wanted != nullptr && *wanted != '\0')
-      throw ConfigError(std::string("SATSURF_ISA: ") + wanted + " is not available on this processor");
+      throw ConfigError(std::string("SATSURF_ISA: ") + wanted +
+                        " is not available on this processor");
   }
-  throw ConfigError(std::string("SATSURF_ISA: '") + wanted + "', expected baseline, avx2 or avx512");
+  throw ConfigError(std::string("SATSURF_ISA: '") + wanted +
+                    "', expected baseline, avx2 or avx512");
 }
 
 }  // namespace
@@ -44,9 +48,12 @@ Isa active_isa() {
 
 const char* isa_name(Isa isa) {
   switch (isa) {
-    case Isa::avx512: return "avx512";
-    case Isa::avx2: return "avx2";
-    case Isa::baseline: break;
+    case Isa::avx512:
+      return "avx512";
+    case Isa::avx2:
+      return "avx2";
+    case Isa::baseline:
+      break;
   }
   return "baseline";
 }

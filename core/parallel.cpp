@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
 
-#include <tbb/info.h>
-#include <tbb/parallel_for.h>
-#include <tbb/task_arena.h>
-
 #include <algorithm>
 #include <memory>
 #include <mutex>
+
+#include <tbb/info.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 namespace satsurf {
 namespace {
@@ -38,11 +38,12 @@ void detail::run_pieces(Index pieces, const std::function<void(Index)>& piece) {
   const auto a = current_arena();
   const auto loop = [&] {
     // Pieces are already sized by the caller; let TBB balance them one by one.
-    tbb::parallel_for(tbb::blocked_range<Index>(0, pieces, 1),
-                      [&](const tbb::blocked_range<Index>& r) {
-                        for (Index p = r.begin(); p != r.end(); ++p) piece(p);
-                      },
-                      tbb::simple_partitioner{});
+    tbb::parallel_for(
+        tbb::blocked_range<Index>(0, pieces, 1),
+        [&](const tbb::blocked_range<Index>& r) {
+          for (Index p = r.begin(); p != r.end(); ++p) piece(p);
+        },
+        tbb::simple_partitioner{});
   };
   if (a)
     a->execute(loop);

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/shape.h"
+
 #include <functional>
 #include <vector>
 
-#include "satsurf/core/shape.h"
-
 namespace satsurf {
 
-/// Caps the threads of every loop below; 0, or more than there are cores, means all cores. The only global state of the engine.
-/// Results never depend on it: loops are cut into the same pieces whatever runs them.
+/// Caps the threads of every loop below; 0, or more than there are cores, means all cores. The only
+/// global state of the engine. Results never depend on it: loops are cut into the same pieces
+/// whatever runs them.
 void set_threads(int threads);
 /// Threads in use now (the cap, or what the caller's TBB arena offers).
 int threads();
@@ -18,8 +19,9 @@ namespace detail {
 void run_pieces(Index pieces, const std::function<void(Index)>& piece);
 }
 
-/// Calls `body(begin, end)` for consecutive pieces of [0, n), each of at most `grain` iterations, in
-/// parallel. The pieces depend on n and grain alone. Each output element must be written by one piece.
+/// Calls `body(begin, end)` for consecutive pieces of [0, n), each of at most `grain` iterations,
+/// in parallel. The pieces depend on n and grain alone. Each output element must be written by one
+/// piece.
 template <class Body>
 void for_range(Index n, Index grain, const Body& body) {
   if (n <= 0) return;
@@ -28,7 +30,8 @@ void for_range(Index n, Index grain, const Body& body) {
   detail::run_pieces(pieces, [&](Index p) { body(p * g, p * g + g < n ? p * g + g : n); });
 }
 
-/// Calls `body(i)` for every i in [0, n) in parallel; for bodies that are each at least some microseconds.
+/// Calls `body(i)` for every i in [0, n) in parallel; for bodies that are each at least some
+/// microseconds.
 template <class Body>
 void for_each_index(Index n, const Body& body) {
   for_range(n, 1, [&](Index begin, Index end) {
@@ -36,14 +39,16 @@ void for_each_index(Index n, const Body& body) {
   });
 }
 
-/// Sum over [0, n) that is the same for any number of threads: `part(begin, end)` returns each piece's
-/// value, and the values are added in order.
+/// Sum over [0, n) that is the same for any number of threads: `part(begin, end)` returns each
+/// piece's value, and the values are added in order.
 template <class Value, class Part>
 Value ordered_reduce(Index n, Index grain, Value init, const Part& part) {
   if (n <= 0) return init;
   const Index g = grain < 1 ? 1 : grain, pieces = (n + g - 1) / g;
   std::vector<Value> partial(static_cast<std::size_t>(pieces));
-  for_range(n, g, [&](Index begin, Index end) { partial[static_cast<std::size_t>(begin / g)] = part(begin, end); });
+  for_range(n, g, [&](Index begin, Index end) {
+    partial[static_cast<std::size_t>(begin / g)] = part(begin, end);
+  });
   for (const Value& v : partial) init += v;
   return init;
 }

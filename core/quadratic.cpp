@@ -4,7 +4,8 @@
 namespace satsurf {
 
 std::array<double, 2> Quadratic::operator()(double x, double y, double z) const {
-  const double a = (x - offset[0]) / scale[0], b = (y - offset[1]) / scale[1], c = (z - offset[2]) / scale[2];
+  const double a = (x - offset[0]) / scale[0], b = (y - offset[1]) / scale[1],
+               c = (z - offset[2]) / scale[2];
   std::array<double, 2> out{};
   for (std::size_t k = 0; k < 2; ++k) {
     const auto& q = coeff[k];
@@ -15,7 +16,8 @@ std::array<double, 2> Quadratic::operator()(double x, double y, double z) const 
 }
 
 std::array<std::array<double, 3>, 2> Quadratic::jacobian(double x, double y, double z) const {
-  const double a = (x - offset[0]) / scale[0], b = (y - offset[1]) / scale[1], c = (z - offset[2]) / scale[2];
+  const double a = (x - offset[0]) / scale[0], b = (y - offset[1]) / scale[1],
+               c = (z - offset[2]) / scale[2];
   std::array<std::array<double, 3>, 2> j{};
   for (std::size_t k = 0; k < 2; ++k) {
     const auto& q = coeff[k];

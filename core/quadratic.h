@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <array>
-
 #include "satsurf/core/shape.h"
+
+#include <array>
 
 namespace satsurf {
 
-/// A map from three coordinates to two by one full quadratic each, in normalised inputs: the local stand-in
-/// for an RPC camera inside the kernels (fitted in rpc/fit.h, stored in double, evaluated in float or double).
+/// A map from three coordinates to two by one full quadratic each, in normalised inputs: the local
+/// stand-in for an RPC camera inside the kernels (fitted in rpc/fit.h, stored in double, evaluated
+/// in float or double).
 ///   q = (p - offset) / scale,   out_k = sum_m coeff[k][m] * monomial_m(q)
 ///   monomials: 1, x, y, z, xx, xy, xz, yy, yz, zz
 struct Quadratic {
@@ -23,12 +24,13 @@ struct Quadratic {
   std::array<std::array<double, 3>, 2> jacobian(double x, double y, double z) const;
 };
 
-/// The same map for pixel grids downsampled by `in_stride` (inputs x, y) and `out_stride` (outputs), with
-/// pixel centres at x_s = (x + 0.5) / s - 0.5. A stride of 1 leaves that side as it is.
+/// The same map for pixel grids downsampled by `in_stride` (inputs x, y) and `out_stride`
+/// (outputs), with pixel centres at x_s = (x + 0.5) / s - 0.5. A stride of 1 leaves that side as it
+/// is.
 Quadratic rescale_pixels(const Quadratic& map, double in_stride, double out_stride);
 
-/// The same map after moving the origin of the input pixels (x, y) by `in` and of the output pixels by
-/// `out`: inputs become p - in, outputs become out_k - out.
+/// The same map after moving the origin of the input pixels (x, y) by `in` and of the output pixels
+/// by `out`: inputs become p - in, outputs become out_k - out.
 Quadratic shift_pixels(const Quadratic& map, std::array<double, 2> in, std::array<double, 2> out);
 
 }  // namespace satsurf

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <cstdint>
-
 #include "satsurf/core/tensor.h"
+
+#include <cstdint>
 
 namespace satsurf {
 
-/// Counter-based random numbers: draw number n of stream (seed, stream) is a pure function of the three, so
-/// it is the same on every library, for any number of threads, and can be saved as two integers.
-/// Source: Salmon et al. 2011, Philox4x32-10.
+/// Counter-based random numbers: draw number n of stream (seed, stream) is a pure function of the
+/// three, so it is the same on every library, for any number of threads, and can be saved as two
+/// integers. Source: Salmon et al. 2011, Philox4x32-10.
 class Rng {
  public:
   explicit Rng(std::uint64_t seed, std::uint64_t stream = 0) : seed_(seed), stream_(stream) {}

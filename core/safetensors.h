@@ -1,27 +1,28 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/tensor.h"
+
 #include <filesystem>
 #include <map>
 #include <string>
-
-#include "satsurf/core/tensor.h"
 
 namespace satsurf {
 
 /// Named tensors and string metadata, as one safetensors file holds them.
 struct TensorFile {
-  std::map<std::string, Tensor> tensors;         ///< F32 entries
+  std::map<std::string, Tensor> tensors;               ///< F32 entries
   std::map<std::string, BasicTensor<double>> doubles;  ///< F64 entries
   std::map<std::string, std::string> metadata;
 };
 
-/// Reads a safetensors file and trusts nothing in it: header length, JSON, types, shapes, offsets, gaps, overlaps
-/// and file size are checked before a byte is used. throws IoError naming the file, what came and what was wanted
+/// Reads a safetensors file and trusts nothing in it: header length, JSON, types, shapes, offsets,
+/// gaps, overlaps and file size are checked before a byte is used. throws IoError naming the file,
+/// what came and what was wanted
 TensorFile load_safetensors(const std::filesystem::path& path);
 
-/// Writes to a temporary name in the same folder, then renames: the old file or the new one, never half.
-/// Same content, same bytes. throws IoError
+/// Writes to a temporary name in the same folder, then renames: the old file or the new one, never
+/// half. Same content, same bytes. throws IoError
 void save_safetensors(const std::filesystem::path& path, const TensorFile& file);
 
 }  // namespace satsurf

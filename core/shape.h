@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/error.h"
+
 #include <array>
 #include <cstddef>
 #include <cstdint>
 #include <initializer_list>
 #include <span>
 #include <string>
-
-#include "satsurf/core/error.h"
 
 namespace satsurf {
 
@@ -31,7 +31,9 @@ class Shape {
   Index count() const;
   /// Product of the extents of axes first..last-1; 1 if empty.
   Index count(Index first, Index last) const;
-  std::span<const Index> extents() const { return {extents_.data(), static_cast<std::size_t>(rank_)}; }
+  std::span<const Index> extents() const {
+    return {extents_.data(), static_cast<std::size_t>(rank_)};
+  }
   /// The same shape with one extent replaced.
   Shape with(Index axis, Index extent) const;
   std::string str() const;

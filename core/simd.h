@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <xsimd/xsimd.hpp>
-
 #include "satsurf/core/shape.h"
 
-/// For kernel sources only (compiled once per instruction set, see core/isa.h): the widest batch of the
-/// instruction set at hand.
+#include <xsimd/xsimd.hpp>
+
+/// For kernel sources only (compiled once per instruction set, see core/isa.h): the widest batch of
+/// the instruction set at hand.
 namespace satsurf::SATSURF_ISA_NS {
 
 template <class T>

@@ -13,8 +13,8 @@ namespace {
 
 constexpr std::size_t kAlignment = 64;  // one cache line, one AVX-512 register
 
-/// Blocks are kept by size and handed out again: a training step asks for the same sizes every time, and
-/// fresh pages from the system cost more than most kernels that fill them.
+/// Blocks are kept by size and handed out again: a training step asks for the same sizes every
+/// time, and fresh pages from the system cost more than most kernels that fill them.
 class BlockCache {
  public:
   void* take(std::size_t bytes) {
@@ -75,8 +75,9 @@ class BlockCache {
   void reset_peak() { peak_ = used_.load(); }
 
  private:
-  static constexpr std::size_t kSmallest = 64 << 10;                // below this malloc keeps blocks itself
-  static constexpr std::size_t kMostKept = std::size_t{2} << 30;  // about one training step at 256x256
+  static constexpr std::size_t kSmallest = 64 << 10;  // below this malloc keeps blocks itself
+  static constexpr std::size_t kMostKept = std::size_t{2}
+                                           << 30;  // about one training step at 256x256
 
   static std::size_t rounded(std::size_t bytes) {
     return std::max(kAlignment, (bytes + kAlignment - 1) / kAlignment * kAlignment);
@@ -106,7 +107,8 @@ BasicTensor<T> BasicTensor<T>::uninitialised(const Shape& shape) {
   BasicTensor t;
   t.shape_ = shape;
   const std::size_t bytes = static_cast<std::size_t>(shape.count()) * sizeof(T);
-  t.buffer_ = std::shared_ptr<T>(static_cast<T*>(cache().take(bytes)), [bytes](T* p) { cache().give(p, bytes); });
+  t.buffer_ = std::shared_ptr<T>(static_cast<T*>(cache().take(bytes)),
+                                 [bytes](T* p) { cache().give(p, bytes); });
   return t;
 }
 
@@ -130,7 +132,8 @@ BasicTensor<T> BasicTensor<T>::from(const Shape& shape, std::span<const T> value
 
 template <class T>
 T BasicTensor<T>::item() const {
-  if (count() != 1) throw ShapeError("Tensor::item: shape " + shape_.str() + ", expected one element");
+  if (count() != 1)
+    throw ShapeError("Tensor::item: shape " + shape_.str() + ", expected one element");
   return (*this)[0];
 }
 
@@ -145,7 +148,8 @@ BasicTensor<T> BasicTensor<T>::clone() const {
 template <class T>
 BasicTensor<T> BasicTensor<T>::reshaped(const Shape& shape) const {
   if (empty() || shape.count() != shape_.count())
-    throw ShapeError("Tensor::reshaped: from " + (empty() ? "empty" : shape_.str()) + " to " + shape.str() + ", expected equal counts");
+    throw ShapeError("Tensor::reshaped: from " + (empty() ? "empty" : shape_.str()) + " to " +
+                     shape.str() + ", expected equal counts");
   BasicTensor t = *this;
   t.shape_ = shape;
   return t;
@@ -156,7 +160,8 @@ BasicTensor<T> BasicTensor<T>::slice0(Index i) const {
   if (rank() < 1 || i < 0 || i >= dim(0))
     throw ShapeError("Tensor::slice0: index " + std::to_string(i) + " of shape " + shape_.str());
   const Shape rest(shape_.extents().subspan(1));
-  return from(rest, std::span<const T>(data() + i * rest.count(), static_cast<std::size_t>(rest.count())));
+  return from(
+      rest, std::span<const T>(data() + i * rest.count(), static_cast<std::size_t>(rest.count())));
 }
 
 template <class T>

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/shape.h"
+
 #include <initializer_list>
 #include <memory>
 #include <vector>
-
-#include "satsurf/core/shape.h"
 
 namespace satsurf {
 

@@ -22,8 +22,8 @@ template <class T>
 void check_finite(const BasicTensor<T>& t, const char* op, const char* what) {
   for (Index i = 0; i < t.count(); ++i)
     if (!std::isfinite(t[i]))
-      throw Error(std::string(op) + ": " + what + " element " + std::to_string(i) + " of shape " + t.shape().str() +
-                  " is " + std::to_string(t[i]) + ", expected finite numbers");
+      throw Error(std::string(op) + ": " + what + " element " + std::to_string(i) + " of shape " +
+                  t.shape().str() + " is " + std::to_string(t[i]) + ", expected finite numbers");
 }
 
 }  // namespace
@@ -69,7 +69,8 @@ BasicVar<T> BasicVar<T>::record(const char* op, BasicTensor<T> value, std::vecto
   if (NanGuard::active()) check_finite(value, op, "value");
   BasicVar out(std::move(value));
   out.node_->op = op;
-  if (NoGrad::active() || std::none_of(inputs.begin(), inputs.end(), [](const BasicVar& v) { return v.wants_grad(); }))
+  if (NoGrad::active() ||
+      std::none_of(inputs.begin(), inputs.end(), [](const BasicVar& v) { return v.wants_grad(); }))
     return out;
   out.node_->wants_grad = true;
   out.node_->backward = std::move(backward);
@@ -81,9 +82,11 @@ BasicVar<T> BasicVar<T>::record(const char* op, BasicTensor<T> value, std::vecto
 template <class T>
 void BasicVar<T>::backward(const BasicTensor<T>& seed) const {
   if (seed.empty() && count() != 1)
-    throw ShapeError("backward: value has shape " + shape().str() + ", expected one element or a seed");
+    throw ShapeError("backward: value has shape " + shape().str() +
+                     ", expected one element or a seed");
   if (!seed.empty() && seed.shape() != shape())
-    throw ShapeError("backward: seed has shape " + seed.shape().str() + ", expected " + shape().str());
+    throw ShapeError("backward: seed has shape " + seed.shape().str() + ", expected " +
+                     shape().str());
   if (!wants_grad()) return;
 
   std::vector<std::shared_ptr<Node<T>>> tape{node_};
@@ -94,7 +97,8 @@ void BasicVar<T>::backward(const BasicTensor<T>& seed) const {
       if (input && input->wants_grad && seen.insert(input.get()).second) tape.push_back(input);
   }
   // Ascending, so that the last element is the next one to run and can be popped.
-  std::sort(tape.begin(), tape.end(), [](const auto& a, const auto& b) { return a->order < b->order; });
+  std::sort(tape.begin(), tape.end(),
+            [](const auto& a, const auto& b) { return a->order < b->order; });
 
   if (node_->grad.empty()) node_->grad = BasicTensor<T>(shape());
   for (Index i = 0; i < count(); ++i) node_->grad[i] += seed.empty() ? T(1) : seed[i];

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/tensor.h"
+
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <vector>
-
-#include "satsurf/core/tensor.h"
 
 namespace satsurf {
 
@@ -57,16 +57,15 @@ class BasicVar {
   /// The same value, cut from the tape.
   BasicVar detach() const { return BasicVar(node_->value); }
 
-  /// Runs the tape backwards from this value and adds into the gradients of all leaves that want one.
-  /// Nodes on the way drop their inputs, saved values and gradients as soon as they have run, so a tape can
-  /// be run once.
-  /// seed  same shape as this value; may be omitted for a single element (then 1)
-  /// throws ShapeError
+  /// Runs the tape backwards from this value and adds into the gradients of all leaves that want
+  /// one. Nodes on the way drop their inputs, saved values and gradients as soon as they have run,
+  /// so a tape can be run once. seed  same shape as this value; may be omitted for a single element
+  /// (then 1) throws ShapeError
   void backward(const BasicTensor<T>& seed = {}) const;
 
-  /// Puts an op's result on the tape. `backward` reads `n.grad` and adds into `n.grad_in(i)`; it is dropped
-  /// at once if no input wants a gradient or under NoGrad. Inputs may be empty Vars (optional arguments):
-  /// their `grad_in` is nullptr.
+  /// Puts an op's result on the tape. `backward` reads `n.grad` and adds into `n.grad_in(i)`; it is
+  /// dropped at once if no input wants a gradient or under NoGrad. Inputs may be empty Vars
+  /// (optional arguments): their `grad_in` is nullptr.
   static BasicVar record(const char* op, BasicTensor<T> value, std::vector<BasicVar> inputs,
                          typename Node<T>::Backward backward);
 
@@ -86,8 +85,8 @@ class NoGrad {
   static bool active();
 };
 
-/// While one lives, every value and gradient recorded by this thread is checked and the first op that
-/// produced a NaN or an infinity is named by an Error.
+/// While one lives, every value and gradient recorded by this thread is checked and the first op
+/// that produced a NaN or an infinity is named by an Error.
 class NanGuard {
  public:
   NanGuard();
