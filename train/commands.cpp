@@ -1,1 +1,214 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/train/commands.h"
+
+#include "satsurf/core/atomic_file.h"
+#include "satsurf/core/fields_json.h"
+#include "satsurf/train/evaluate.h"
+#include "satsurf/train/output_folder.h"
+#include "satsurf/train/preview.h"
+#include "satsurf/train/progress.h"
+#include "satsurf/train/record.h"
+
+#include <atomic>
+#include <cmath>
+#include <csignal>
+#include <cstdio>
+
+#include <nlohmann/json.hpp>
+
+namespace satsurf::train {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::atomic<bool> interrupt_seen{false};
+
+void print_scores(const char* title, const HeightScores& s) {
+  std::printf("%-11s MAE %7.3f m  RMSE %7.3f m  median %+8.3f m  NMAD %7.3f m\n", title, s.mae,
+              s.rmse, s.median, s.nmad);
+  std::printf(
+      "%-11s below 1 m %5.1f %%  below 2.5 m %5.1f %%  below 7.5 m %5.1f %%  of all true cells\n",
+      "", 100 * s.pag1, 100 * s.pag2_5, 100 * s.pag7_5);
+  std::printf(
+      "%-11s below 1 m %5.1f %%  below 2.5 m %5.1f %%  below 7.5 m %5.1f %%  of the cells found\n",
+      "", 100 * s.pag1_compared, 100 * s.pag2_5_compared, 100 * s.pag7_5_compared);
+}
+
+/// A median far larger than the spread is seldom an error of the surface.
+void warn_of_datum(const HeightScores& s) {
+  constexpr double kSuspicious =
+      8;  // m; geoid heights are up to 107 m, biases of a reconstruction a few
+  if (std::abs(s.median) > kSuspicious && s.nmad < std::abs(s.median) / 3)
+    std::fprintf(
+        stderr,
+        "note: the heights differ by %.1f m nearly everywhere; is one of them above the geoid?\n",
+        s.median);
+}
+
+}  // namespace
+
+void catch_interrupts() {
+  struct sigaction action {};
+  action.sa_handler = [](int) { interrupt_seen = true; };
+  action.sa_flags = static_cast<int>(SA_RESETHAND);  // the second one kills
+  sigaction(SIGINT, &action, nullptr);
+}
+
+bool interrupted() { return interrupt_seen; }
+
+void run_simulate(const SimulateOptions& options) {
+  SimulateConfig config = options.config;
+  check_fields(config, "simulate");
+  RunRecord record("simulate", to_json(config), config.seed);
+  config.heights = false;  // per-pixel heights are not written
+  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite);
+  Progress progress(options.quiet);
+  for (Index i = 0; i < config.scenes; ++i) {
+    if (interrupted()) throw Interrupted{};
+    progress.update("simulate", static_cast<double>(i) / static_cast<double>(config.scenes));
+    const SimulatedScene scene = simulate_scene(config, config.seed, i);
+    char name[32];
+    std::snprintf(name, sizeof name, "SIM_%03td", i + 1);
+    write_scene(scene, folder.path(), name);
+    double worst = 0;
+    for (const SimulatedView& v : scene.views) worst = std::max(worst, v.rpc_max_px);
+    record.results()[name] = {{"kind", scene.kind}, {"gsd", scene.gsd}, {"rpc_max_px", worst}};
+  }
+  progress.update("simulate", 1);
+  record.save(folder / "run.json");
+  folder.commit();
+  std::printf("%td scene%s of %td images written to %s\n", config.scenes,
+              config.scenes == 1 ? "" : "s", config.views, options.out.c_str());
+}
+
+void run_train(const TrainOptions& options) {
+  list_scenes(options.data);  // a wrong folder must not cost the one that --overwrite names
+  const bool existed = fs::exists(options.out);
+  using Existing = OutputFolder::Existing;
+  const OutputFolder folder =
+      OutputFolder::in_place(options.out, options.resume      ? Existing::resume
+                                          : options.overwrite ? Existing::overwrite
+                                                              : Existing::refuse);
+  Progress progress(options.quiet);
+  StepReport last;
+  try {
+    RunRecord record("train", to_json(options.config), options.seed);
+    record.add_input(options.data);
+    progress.update("read", 0);
+    double average = 0;  // running mean of the height error over about fifty steps
+    train(options.config, options.data, folder.path(), options.seed, options.resume,
+          [&](const StepReport& r) {
+            average = last.step == 0 ? r.height_mae : average + 0.02 * (r.height_mae - average);
+            last = r;
+            char text[160];
+            std::snprintf(text, sizeof text,
+                          "step %td/%td  loss %.4f  height error %.2f m  %.2f s/step", r.step,
+                          r.steps, r.loss, average, r.seconds);
+            progress.update("train", static_cast<double>(r.step) / static_cast<double>(r.steps),
+                            text);
+            return !interrupted();
+          });
+    record.results() = {
+        {"step", last.step}, {"steps", options.config.steps}, {"height_mae_running", average}};
+    record.save(folder / "run.json");
+  } catch (...) {
+    std::error_code ignored;
+    if (!existed && fs::is_empty(options.out, ignored)) fs::remove(options.out, ignored);
+    throw;
+  }
+  if (interrupted() && last.step < options.config.steps) throw Interrupted{};
+  std::printf("%td steps done; weights in %s\n", options.config.steps,
+              (options.out / "weights.safetensors").c_str());
+}
+
+void run_evaluate_dsm(const EvaluateDsmOptions& options) {
+  const Registration registration = registration_from(options.registration);
+  const DsmPair pair = load_dsm_pair(options.dsm, options.truth);
+  Tensor mask;
+  if (options.mask_water) {
+    if (options.classes.empty())
+      throw ConfigError("--mask-water: no --classes, wanted the class raster as well");
+    const rpc::GeoRaster classes = rpc::read_geo_raster(options.classes);
+    if (classes.values.shape() != pair.truth.z.shape())
+      throw IoError(options.classes.string() + ": shape " + classes.values.shape().str() +
+                    ", wanted the truth's " + pair.truth.z.shape().str());
+    mask = not_water(classes.values);
+  }
+  DsmComparison c;
+  try {
+    c = compare_dsm(pair.prediction, pair.truth, registration, mask);
+  } catch (const Error& e) {
+    throw Error(options.dsm.string() + " and " + options.truth.string() + ": " + e.what());
+  }
+  std::printf("%td of %td true cells have a predicted height (completeness %.1f %%)\n",
+              c.raw.compared, c.raw.truth, 100 * c.raw.completeness);
+  print_scores("raw", c.raw);
+  if (registration != Registration::none) {
+    std::printf("registered by east %+.2f m, north %+.2f m, up %+.3f m\n", c.shift[0], c.shift[1],
+                c.shift[2]);
+    print_scores("registered", c.registered);
+  }
+  warn_of_datum(c.raw);
+  if (!options.picture.empty()) write_png(options.picture, error_picture(c.error));
+  if (!options.json.empty()) {
+    nlohmann::json config{{"dsm", options.dsm},
+                          {"truth", options.truth},
+                          {"register", options.registration},
+                          {"mask_water", options.mask_water}};
+    RunRecord record("evaluate", config, 0);
+    record.add_input(options.dsm);
+    record.add_input(options.truth);
+    record.results() = scores_json(c);
+    record.save(options.json);
+  }
+}
+
+void run_evaluate_data(const EvaluateDataOptions& options) {
+  const fs::path weights = find_weights(options.weights);
+  const nn::Model model = load_model(weights);
+  Progress progress(options.quiet);
+  EvaluateOptions how;
+  how.views = options.views;
+  how.registration = registration_from(options.registration);
+  how.mask_water = options.mask_water;
+  how.progress = [&](const std::string& stage, double fraction) {
+    if (interrupted()) throw Interrupted{};
+    progress.update(stage, fraction);
+  };
+  nlohmann::json config{{"data", options.data},
+                        {"weights", weights},
+                        {"views", options.views},
+                        {"register", options.registration},
+                        {"mask_water", options.mask_water}};
+  RunRecord record("evaluate", config, 0);
+  const std::vector<SceneScores> scores = evaluate_data(model, options.data, how);
+  const nlohmann::ordered_json table = scores_json(scores);
+  if (!options.json.empty()) {
+    record.add_input(weights);
+    record.results() = table;
+    record.save(options.json);
+  }
+  if (!options.csv.empty()) atomic_write(options.csv, scores_csv(scores));
+
+  std::printf("%-16s %9s %9s %9s %9s %9s %9s %9s %9s\n", "scene", "MAE m", "RMSE m", "<1 m",
+              "<2.5 m", "<7.5 m", "complete", "source m", "PSNR dB");
+  const auto print = [](const std::string& name, double mae, double rmse, double p1, double p2,
+                        double p7, double complete, double source, double psnr_db) {
+    std::printf("%-16s %9.3f %9.3f %8.1f%% %8.1f%% %8.1f%% %8.1f%% %9.3f %9.2f\n", name.c_str(),
+                mae, rmse, 100 * p1, 100 * p2, 100 * p7, 100 * complete, source, psnr_db);
+  };
+  for (const SceneScores& s : scores) {
+    const HeightScores& d = s.dsm.registered;
+    print(s.name, d.mae, d.rmse, d.pag1, d.pag2_5, d.pag7_5, d.completeness, s.mvs_source.mae,
+          s.target_psnr);
+  }
+  const auto mean = [&](const char* key) {
+    const auto& v = table["mean"][key];
+    return v.is_null() ? std::nan("") : v.get<double>();
+  };
+  print("mean", mean("dsm_mae"), mean("dsm_rmse"), mean("dsm_pag1"), mean("dsm_pag2.5"),
+        mean("dsm_pag7.5"), mean("dsm_completeness"), mean("mvs_source_mae"),
+        mean("render_target_psnr"));
+}
+
+}  // namespace satsurf::train

@@ -1,1 +1,320 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/fields_json.h"
+#include "satsurf/core/parallel.h"
+#include "satsurf/nn/config.h"
+#include "satsurf/train/commands.h"
+#include "satsurf/train/record.h"
+
+#include <cstdio>
+#include <deque>
+#include <functional>
+#include <iostream>
+#include <new>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+namespace satsurf::train {
+namespace {
+
+enum ExitCode { kDone = 0, kFailed = 1, kUsage = 2, kStopped = 130 };
+
+/// Errors are one line each, whatever a library put into them.
+void complain(std::string text) {
+  for (char& c : text)
+    if (c == '\n' || c == '\r') c = ' ';
+  std::fprintf(stderr, "satsurf: %s\n", text.c_str());
+}
+
+/// Flags for every field of a configuration struct, and the order of precedence: flags, then
+/// --config, then defaults.
+template <HasFields S>
+class ConfigFlags {
+ public:
+  ConfigFlags(CLI::App& command, const S& defaults) {
+    command
+        .add_option("--config", file_,
+                    "JSON file with any of the fields below, or the run.json of a run")
+        ->type_name("FILE");
+    command.add_flag("--print-config", print_, "print the configuration in effect and stop");
+    for (const FieldInfo& field : describe(defaults)) {
+      std::string about = field.help;
+      if (!field.range.empty()) about += " (" + field.range + ")";
+      std::string type = field.type;
+      if (!field.unit.empty()) type += " in " + field.unit;
+      Flag& flag = flags_.emplace_back(Flag{field.name, {}, nullptr});
+      flag.option = command.add_option("--" + field.name, flag.text, about)
+                        ->type_name(type)
+                        ->default_str(field.value)
+                        ->group("Configuration");
+    }
+  }
+
+  /// `changed(name)` is told of every flag right after it has been applied.
+  S effective(S config, const std::string& where,
+              const std::function<void(S&, const nlohmann::json&)>& from_file,
+              const std::function<void(S&, const std::string&)>& changed) const {
+    if (!file_.empty()) {
+      const nlohmann::json json = load_config(file_);
+      from_file(config, json);
+      from_json(json, config, file_);
+    }
+    for (const Flag& flag : flags_) {
+      if (flag.option->count() == 0) continue;
+      set_field(config, flag.name, flag.text, where);
+      changed(config, flag.name);
+    }
+    return config;
+  }
+  bool print() const { return print_; }
+
+ private:
+  struct Flag {
+    std::string name, text;
+    CLI::Option* option;
+  };
+  std::string file_;
+  bool print_ = false;
+  std::deque<Flag> flags_;  // CLI11 keeps references
+};
+
+template <HasFields S>
+void print_config(const S& config) {
+  std::printf("%s\n", to_json(config).dump(2).c_str());
+}
+
+/// What one sub-command needs besides its own options.
+struct Common {
+  int threads = 0;
+  bool quiet = false;
+};
+
+CLI::App* add_command(CLI::App& app, Common& common, const std::string& name,
+                      const std::string& about) {
+  CLI::App* command = app.add_subcommand(name, about);
+  command->add_option("--threads", common.threads, "most threads to use, 0 for all cores")
+      ->type_name("N")
+      ->capture_default_str()
+      ->check(CLI::Range(0, 4096));
+  command->add_flag("--quiet", common.quiet, "no progress on stderr");
+  return command;
+}
+
+void add_info(CLI::App& app, Common& common, std::function<void()>& run) {
+  static InfoOptions o;
+  CLI::App* c = add_command(app, common, "info",
+                            "size, camera, footprint and angles of images; overlap of pairs");
+  c->add_option("images", o.images, "rasters or Sat-NeRF JSON files")->required()->type_name("IMG");
+  c->add_option("--image-dir", o.image_dirs, "where else to look for the images JSON files name")
+      ->type_name("DIR");
+  c->callback([&] { run = [] { run_info(o); }; });
+}
+
+void add_simulate(CLI::App& app, Common& common, std::function<void()>& run) {
+  static SimulateOptions o;
+  CLI::App* c =
+      add_command(app, common, "simulate", "make up scenes with images, cameras and true surfaces");
+  c->add_option("--out", o.out, "folder to make")->type_name("DIR");
+  c->add_flag("--overwrite", o.overwrite, "replace a folder that is not empty");
+  static ConfigFlags<SimulateConfig> flags(*c, {});
+  c->callback([&, c] {
+    o.quiet = common.quiet;
+    o.config = flags.effective(
+        {}, "simulate", [](auto&, auto&) {}, [](auto&, auto&) {});
+    if (!flags.print() && o.out.empty()) throw CLI::RequiredError("--out");
+    run = [] { flags.print() ? print_config(o.config) : run_simulate(o); };
+  });
+}
+
+void add_train(CLI::App& app, Common& common, std::function<void()>& run) {
+  static TrainOptions o;
+  CLI::App* c = add_command(app, common, "train", "train a network on scenes with true surfaces");
+  c->add_option("--data", o.data, "data set: what simulate writes, DFC2019 Track 3 or EOGS")
+      ->type_name("DIR");
+  c->add_option("--out", o.out, "folder for checkpoint, weights and train.jsonl")->type_name("DIR");
+  c->add_option("--seed", o.seed, "of the initial weights and the samples")
+      ->type_name("N")
+      ->capture_default_str();
+  CLI::Option* resume = c->add_flag("--resume", o.resume, "go on from the checkpoint in --out");
+  c->add_flag("--overwrite", o.overwrite, "replace a folder that is not empty")->excludes(resume);
+  TrainConfig defaults;
+  defaults.model = nn::model_preset(defaults.preset);
+  static ConfigFlags<TrainConfig> flags(*c, defaults);
+  c->callback([&, defaults] {
+    o.quiet = common.quiet;
+    const auto apply_preset = [](TrainConfig& t) { t.model = nn::model_preset(t.preset); };
+    o.config = flags.effective(
+        defaults, "train",
+        [&](TrainConfig& t,
+            const nlohmann::json& json) {  // a file's preset comes before its model fields
+          if (!json.is_object() || !json.contains("preset") || !json["preset"].is_string()) return;
+          set_field(t, "preset", json["preset"].get<std::string>(), "train");
+          apply_preset(t);
+        },
+        [&](TrainConfig& t, const std::string& name) {
+          if (name == "preset") apply_preset(t);
+        });
+    if (!flags.print() && o.data.empty()) throw CLI::RequiredError("--data");
+    if (!flags.print() && o.out.empty()) throw CLI::RequiredError("--out");
+    run = [] { flags.print() ? print_config(o.config) : run_train(o); };
+  });
+}
+
+void add_reconstruct(CLI::App& app, Common& common, std::function<void()>& run) {
+  static ReconstructCommand o;
+  static std::vector<double> range;
+  CLI::App* c = add_command(app, common, "reconstruct", "the surface two or more images show");
+  c->add_option("images", o.images, "rasters or Sat-NeRF JSON files, two or more")
+      ->required()
+      ->type_name("IMG");
+  c->add_option("--out", o.out, "folder to make")->required()->type_name("DIR");
+  c->add_flag("--overwrite", o.overwrite, "replace a folder that is not empty");
+  c->add_option("--image-dir", o.image_dirs, "where else to look for the images JSON files name")
+      ->type_name("DIR");
+  c->add_option("--weights", o.weights, "network weights [the shipped ones, or SATSURF_WEIGHTS]")
+      ->type_name("FILE");
+  c->add_option("--height-range", range,
+                "heights above the ellipsoid to search [from metadata, else found]")
+      ->expected(2)
+      ->type_name("LOW HIGH in m");
+  c->add_option("--resolution", o.resolution, "cell of the surface [size of a pixel on the ground]")
+      ->type_name("number in m")
+      ->check(CLI::Range(0.01, 1000.0));
+  c->callback([&] {
+    o.quiet = common.quiet;
+    if (range.size() == 2) o.height_range = rpc::HeightRange{range[0], range[1]};
+    run = [] { run_reconstruct(o); };
+  });
+}
+
+void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
+  static EvaluateDsmOptions d;
+  static EvaluateDataOptions s;
+  static bool keep_water = false;
+  CLI::App* c = add_command(app, common, "evaluate",
+                            "score one surface, or a network on a data set, against the truth");
+  CLI::Option* dsm =
+      c->add_option("--dsm", d.dsm, "surface to score")->type_name("FILE")->group("One surface");
+  CLI::Option* truth =
+      c->add_option("--truth", d.truth, "true surface")->type_name("FILE")->group("One surface");
+  c->add_option("--classes", d.classes, "class raster on the truth's grid")
+      ->type_name("FILE")
+      ->group("One surface");
+  c->add_flag("--mask-water", d.mask_water, "leave cells of class 9 (water) out")
+      ->group("One surface");
+  c->add_option("--error-map", d.picture,
+                "picture of the errors, blue too low, red too high, 5 m at most")
+      ->type_name("PNG")
+      ->group("One surface");
+  CLI::Option* data = c->add_option("--data", s.data, "data set")
+                          ->type_name("DIR")
+                          ->group("A data set")
+                          ->excludes(dsm);
+  c->add_option("--weights", s.weights, "network weights [the shipped ones, or SATSURF_WEIGHTS]")
+      ->type_name("FILE")
+      ->group("A data set");
+  c->add_option("--views", s.views, "source images of each scene")
+      ->type_name("N")
+      ->capture_default_str()
+      ->check(CLI::Range(2, 32))
+      ->group("A data set");
+  c->add_flag("--keep-water", keep_water, "score cells of class 9 (water) as well")
+      ->group("A data set");
+  c->add_option("--csv", s.csv, "one row per scene")->type_name("FILE")->group("A data set");
+  c->add_option("--register", d.registration, "what is taken out first: none, z or xyz")
+      ->type_name("HOW")
+      ->capture_default_str();
+  c->add_option("--json", d.json, "all numbers and where they came from")->type_name("FILE");
+  c->callback([&, dsm, truth, data] {
+    if (data->count() == 0 && (dsm->count() == 0 || truth->count() == 0))
+      throw CLI::RequiredError("--dsm and --truth, or --data");
+    s.registration = d.registration, s.json = d.json, s.quiet = common.quiet,
+    s.mask_water = !keep_water;
+    run = [] { s.data.empty() ? run_evaluate_dsm(d) : run_evaluate_data(s); };
+  });
+}
+
+void add_render(CLI::App& app, Common& common, std::function<void()>& run) {
+  static RenderCommand o;
+  static bool nadir = false;
+  CLI::App* c = add_command(app, common, "render",
+                            "a reconstructed surface as a camera sees it, or from above");
+  c->add_option("--surfels", o.surfels, "surfels.ply of a reconstruction")
+      ->required()
+      ->type_name("FILE");
+  CLI::Option* image =
+      c->add_option("--image", o.image, "take the camera and the size of this image")
+          ->type_name("IMG");
+  CLI::Option* above = c->add_flag("--nadir", nadir, "look straight down")->excludes(image);
+  c->add_option("--image-dir", o.image_dirs, "where else to look for the image a JSON file names")
+      ->type_name("DIR");
+  c->add_option("--resolution", o.resolution, "cell of the view from above")
+      ->type_name("number in m")
+      ->default_str("0.5")
+      ->check(CLI::Range(0.01, 1000.0));
+  c->add_option(
+       "--out", o.out,
+       "colours as .png; as .tif the colours with the image's camera, or the heights from above")
+      ->required()
+      ->type_name("FILE");
+  c->add_flag("--overwrite", o.overwrite, "replace the file if it exists");
+  c->callback([&, image, above] {
+    if (image->count() == 0 && above->count() == 0) throw CLI::RequiredError("--image or --nadir");
+    run = [] { run_render(o); };
+  });
+}
+
+int run_program(int argc, char** argv) {
+  CLI::App app("Georeferenced surfaces from satellite images with RPC cameras", "satsurf");
+  app.set_version_flag(
+      "--version", std::string("satsurf ") + program_version() + " (" + program_git_hash() + ")");
+  app.require_subcommand(1);
+  app.get_formatter()->column_width(44);
+  app.footer("Exit codes: 0 done, 1 failed, 2 wrong usage, 130 stopped by Ctrl-C.");
+
+  Common common;
+  std::function<void()> run;
+  add_info(app, common, run);
+  add_simulate(app, common, run);
+  add_train(app, common, run);
+  add_reconstruct(app, common, run);
+  add_evaluate(app, common, run);
+  add_render(app, common, run);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& e) {
+    app.exit(e);  // prints help or version
+    return kDone;
+  } catch (const CLI::ParseError& e) {
+    complain(std::string(e.what()) + "; see satsurf --help");
+    return kUsage;
+  }
+  set_threads(common.threads);
+  catch_interrupts();
+  run();
+  if (std::fflush(stdout) != 0) throw IoError("stdout: cannot be written");
+  return kDone;
+}
+
+}  // namespace
+}  // namespace satsurf::train
+
+int main(int argc, char** argv) {
+  using namespace satsurf::train;
+  try {
+    return run_program(argc, argv);
+  } catch (const Interrupted&) {
+    complain("stopped");
+    return kStopped;
+  } catch (const satsurf::ConfigError& e) {
+    complain(e.what());
+    return kUsage;
+  } catch (const std::bad_alloc&) {
+    complain("out of memory; give --threads fewer, smaller images or a coarser --resolution");
+    return kFailed;
+  } catch (const std::exception& e) {
+    complain(e.what());
+    return kFailed;
+  }
+}

@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/rpc/read.h"
+#include "satsurf/train/commands.h"
+#include "satsurf/train/views.h"
+
+#include <cmath>
+#include <cstdio>
+#include <string>
+#include <vector>
+
+namespace satsurf::train {
+namespace {
+
+/// The height at which footprints and angles are told: the middle of the range, or the camera's
+/// own.
+double reference_height(const rpc::RasterInfo& info) {
+  return info.height_range ? (info.height_range->low + info.height_range->high) / 2
+                           : info.rpc->height_off;
+}
+
+void print_camera(const rpc::RasterInfo& info) {
+  const double h = reference_height(info);
+  const rpc::Geodetic c = info.rpc->localize(
+      {(static_cast<double>(info.width) - 1) / 2, (static_cast<double>(info.height) - 1) / 2}, h);
+  const rpc::UtmZone zone = rpc::utm_zone_of(c.lon, c.lat);
+  const Polygon ground = footprint(*info.rpc, info.width, info.height, zone, h);
+  const ViewAngles view = view_angles(*info.rpc, info.width, info.height, h);
+  std::printf("  camera        RPC (%s)\n", info.rpc_source.c_str());
+  std::printf("  centre        lon %.6f, lat %.6f at %.0f m above the ellipsoid (EPSG:%d)\n", c.lon,
+              c.lat, h, zone.epsg());
+  std::printf("  footprint     %.3f km2:", polygon_area(ground) / 1e6);
+  for (const auto& p : ground) {
+    const auto lon_lat = rpc::geodetic_from_utm(zone, p[0], p[1]);
+    std::printf(" (%.6f, %.6f)", lon_lat[0], lon_lat[1]);
+  }
+  std::printf("\n  pixel         %.3f m across the ray\n", view.gsd);
+  std::printf("  seen from     %.1f deg off nadir, azimuth %.1f deg\n", view.off_nadir_deg,
+              view.azimuth_deg);
+  std::printf("  camera range  %.0f to %.0f m\n",
+              info.rpc->height_off - std::abs(info.rpc->height_scale),
+              info.rpc->height_off + std::abs(info.rpc->height_scale));
+}
+
+void print_image(const rpc::RasterInfo& info) {
+  std::printf("%s\n", info.path.c_str());
+  std::printf("  size          %td x %td px, %td band%s, %s\n", info.width, info.height, info.bands,
+              info.bands == 1 ? "" : "s", info.dtype.c_str());
+  if (info.nodata) std::printf("  nodata        %g\n", *info.nodata);
+  if (!info.crs.empty()) std::printf("  georeference  %s\n", info.crs.c_str());
+  if (info.rpc) {
+    print_camera(info);
+  } else {
+    std::printf("  camera        none; looked for:");
+    for (const std::string& place : info.tried) std::printf(" %s", place.c_str());
+    std::printf("\n");
+  }
+  if (info.height_range)
+    std::printf("  ground range  %g to %g m\n", info.height_range->low, info.height_range->high);
+  if (info.sun_elevation_deg && info.sun_azimuth_deg)
+    std::printf("  sun           %.1f deg high, azimuth %.1f deg\n", *info.sun_elevation_deg,
+                *info.sun_azimuth_deg);
+  if (info.acquisition_date) std::printf("  date          %s\n", info.acquisition_date->c_str());
+}
+
+/// Overlap in percent of the smaller image, and parallax, for every pair with cameras.
+void print_pairs(const std::vector<rpc::RasterInfo>& all) {
+  std::printf("pairs\n");
+  for (std::size_t i = 0; i < all.size(); ++i)
+    for (std::size_t j = i + 1; j < all.size(); ++j) {
+      const rpc::RasterInfo &a = all[i], &b = all[j];
+      std::printf("  %s + %s: ", a.path.filename().c_str(), b.path.filename().c_str());
+      const double h = reference_height(a);
+      const auto centre = [&](const rpc::RasterInfo& v) {
+        return v.rpc->localize(
+            {static_cast<double>(v.width) / 2, static_cast<double>(v.height) / 2}, h);
+      };
+      const rpc::Geodetic p = centre(a), q = centre(b);
+      const rpc::UtmZone zone = rpc::utm_zone_of(p.lon, p.lat);
+      constexpr double kOneZone = 3;  // degrees; further apart nothing can overlap
+      Polygon common;
+      if (std::abs(std::remainder(p.lon - q.lon, 360)) < kOneZone &&
+          std::abs(p.lat - q.lat) < kOneZone)
+        common = intersect(footprint(*a.rpc, a.width, a.height, zone, h),
+                           footprint(*b.rpc, b.width, b.height, zone, h));
+      if (common.empty()) {
+        std::printf("no overlap at %.0f m\n", h);
+        continue;
+      }
+      const double smaller = std::min(polygon_area(footprint(*a.rpc, a.width, a.height, zone, h)),
+                                      polygon_area(footprint(*b.rpc, b.width, b.height, zone, h)));
+      const auto at = polygon_centroid(common);
+      const auto lon_lat = rpc::geodetic_from_utm(zone, at[0], at[1]);
+      std::printf("overlap %.1f %%, parallax %.3f px/m\n", 100 * polygon_area(common) / smaller,
+                  parallax(*a.rpc, *b.rpc, {lon_lat[0], lon_lat[1], h}));
+    }
+}
+
+}  // namespace
+
+void run_info(const InfoOptions& options) {
+  std::vector<rpc::RasterInfo> all;
+  for (const auto& file : options.images)  // all are read before anything is said
+    all.push_back(file.extension() == ".json" ? rpc::view_info(file, options.image_dirs)
+                                              : rpc::read_info(file));
+  std::vector<rpc::RasterInfo> cameras;
+  for (const rpc::RasterInfo& info : all) {
+    print_image(info);
+    if (info.rpc) cameras.push_back(info);
+  }
+  if (cameras.size() > 1) print_pairs(cameras);
+}
+
+}  // namespace satsurf::train

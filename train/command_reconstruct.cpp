@@ -1,0 +1,269 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/var.h"
+#include "satsurf/rpc/raster.h"
+#include "satsurf/splat/ply.h"
+#include "satsurf/train/commands.h"
+#include "satsurf/train/output_folder.h"
+#include "satsurf/train/preview.h"
+#include "satsurf/train/progress.h"
+#include "satsurf/train/reconstruct.h"
+#include "satsurf/train/record.h"
+#include "satsurf/train/views.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <limits>
+
+namespace satsurf::train {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
+/// Camera of a whole image in the frame of the surfels, over the heights they have.
+Quadratic camera_of(const rpc::Rpc& rpc, const rpc::LocalFrame& frame, Index width, Index height,
+                    double z_low, double z_high) {
+  const rpc::Window window{0, 0, static_cast<double>(width), static_cast<double>(height)};
+  constexpr double kMargin = 1;  // m; a flat surface still needs a span to fit over
+  return rpc::fit_projection(rpc, frame, window,
+                             {frame.h0 + z_low - kMargin, frame.h0 + z_high + kMargin});
+}
+
+/// Smallest and largest element of one column of [P 3].
+std::pair<double, double> column_range(const Tensor& means, Index column) {
+  double low = INFINITY, high = -INFINITY;
+  for (Index i = column; i < means.count(); i += 3)
+    if (std::isfinite(means[i]))
+      low = std::min(low, static_cast<double>(means[i])),
+      high = std::max(high, static_cast<double>(means[i]));
+  return {low, high};
+}
+
+/// Heights above the ellipsoid on the grid of a local field.
+void write_field(const fs::path& path, const Tensor& values, const HeightField& grid,
+                 const rpc::LocalFrame& frame, double offset, const rpc::GeoTags& tags) {
+  Tensor out = values.clone();
+  for (float& v : out.values()) v = static_cast<float>(static_cast<double>(v) + offset);
+  rpc::write_geo_raster(
+      path, out,
+      {frame.zone.epsg(), grid.x0 + frame.easting0, grid.y0 + frame.northing0, grid.step}, tags);
+}
+
+double mean_of(const Tensor& t) {
+  double sum = 0, n = 0;
+  for (const float v : t.values())
+    if (std::isfinite(v)) sum += static_cast<double>(v), n += 1;
+  return sum / n;
+}
+
+void write_pictures(const OutputFolder& folder, const Reconstruction& made, const Scene& scene,
+                    Progress& progress) {
+  write_png(folder / "height.png", height_picture(made.dsm.z));
+  write_png(folder / "hillshade.png", hillshade_picture(made.dsm.z, made.dsm.step));
+  write_png(folder / "confidence.png", confidence_picture(made.confidence));
+  fs::create_directories(folder / "views");
+  for (std::size_t i = 0; i < scene.views.size(); ++i) {
+    progress.update("pictures", static_cast<double>(i) / static_cast<double>(scene.views.size()));
+    const SceneView& view = scene.views[i];
+    const Index H = view.rgb.dim(1), W = view.rgb.dim(2);
+    const auto render = nn::render_view(
+        made.surfels, camera_of(view.rpc, scene.frame, W, H, scene.z_low, scene.z_high), H, W, 1);
+    write_png(folder / ("views/" + view.name + "_render.png"), render.colour.value());
+    write_png(folder / ("views/" + view.name + "_source.png"), view.rgb);
+  }
+  progress.update("pictures", 1);
+}
+
+}  // namespace
+
+fs::path find_weights(const fs::path& asked) {
+  if (!asked.empty()) return asked;
+  if (const char* named = std::getenv("SATSURF_WEIGHTS"); named != nullptr && *named != '\0')
+    return named;
+  std::error_code ignored;
+  const fs::path program = fs::read_symlink("/proc/self/exe", ignored).parent_path();
+  std::vector<fs::path> places{program.parent_path() / "share/satsurf/base8.safetensors"};
+  // a build tree lies inside the sources: build/PRESET/bin
+  fs::path up = program;
+  for (int level = 0; level < 3; ++level) up = up.parent_path();
+  places.push_back(up / "nn/weights/base8.safetensors");
+  std::string looked;
+  for (const fs::path& place : places) {
+    if (fs::exists(place)) return place;
+    looked += (looked.empty() ? "" : ", ") + place.string();
+  }
+  throw IoError("weights: none found, wanted one of " + looked + "; give --weights FILE");
+}
+
+std::vector<std::string> frame_comments(const rpc::LocalFrame& frame) {
+  char origin[128];
+  std::snprintf(origin, sizeof origin, "origin %.17g %.17g %.17g", frame.easting0, frame.northing0,
+                frame.h0);
+  return {std::string("satsurf ") + program_version(),
+          "crs EPSG:" + std::to_string(frame.zone.epsg()), origin,
+          "x east, y north, z up in m from the origin: easting, northing, height above the WGS84 "
+          "ellipsoid"};
+}
+
+rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
+                                    const std::string& where) {
+  rpc::LocalFrame frame;
+  int epsg = 0;
+  bool has_origin = false;
+  for (const std::string& line : comments) {
+    int code = 0;
+    double e = 0, n = 0, h = 0;
+    if (std::sscanf(line.c_str(), "crs EPSG:%d", &code) == 1) epsg = code;
+    if (std::sscanf(line.c_str(), "origin %lf %lf %lf", &e, &n, &h) == 3) {
+      has_origin = std::isfinite(e) && std::isfinite(n) && std::isfinite(h);
+      frame.easting0 = e, frame.northing0 = n, frame.h0 = h;
+    }
+  }
+  const int number = epsg % 100;
+  if (!has_origin || (epsg / 100 != 326 && epsg / 100 != 327) || number < 1 || number > 60)
+    throw IoError(
+        where +
+        ": no frame in the header, wanted comment lines `crs EPSG:326xx` and `origin E N H`");
+  frame.zone = {number, epsg / 100 == 326};
+  return frame;
+}
+
+void run_reconstruct(const ReconstructCommand& options) {
+  if (options.height_range && !(options.height_range->low < options.height_range->high))
+    throw ConfigError("--height-range: " + std::to_string(options.height_range->low) + " " +
+                      std::to_string(options.height_range->high) +
+                      ", wanted the lower height first");
+  const NoGrad no_grad;
+  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite);
+  const fs::path weights = find_weights(options.weights);
+  const nn::Model model = load_model(weights);
+  nlohmann::json config{{"images", options.images},
+                        {"image_dirs", options.image_dirs},
+                        {"weights", weights},
+                        {"resolution", options.resolution}};
+  if (options.height_range)
+    config["height_range"] = {options.height_range->low, options.height_range->high};
+  RunRecord record("reconstruct", config, 0);
+  for (const fs::path& file : options.images) record.add_input(file);
+  record.add_input(weights);
+
+  Progress progress(options.quiet);
+  progress.update("read", 0);
+  const UserScene user = scene_from_views(options.images, options.image_dirs, options.height_range);
+  const Scene& scene = user.scene;
+  char text[256];
+  std::snprintf(text, sizeof text, "height range %.1f to %.1f m above the ellipsoid, %s",
+                user.range.range.low, user.range.range.high, user.range.source.c_str());
+  progress.note(text);
+
+  const auto start = std::chrono::steady_clock::now();
+  ReconstructOptions how;
+  how.resolution = options.resolution;
+  how.progress = [&](const std::string& stage, double fraction) {
+    if (interrupted()) throw Interrupted{};
+    progress.update(stage, fraction);
+  };
+  const Reconstruction made = reconstruct(model, scene, how);
+  const double seconds =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+
+  progress.update("write", 0);
+  write_field(folder / "dsm.tif", made.dsm.z, made.dsm, scene.frame, scene.frame.h0,
+              rpc::ellipsoidal_height("Surface heights"));
+  rpc::GeoTags unitless;
+  unitless.unit = "", unitless.description = "Confidence of the surface, 0 to 1";
+  write_field(folder / "confidence.tif", made.confidence, made.dsm, scene.frame, 0, unitless);
+  splat::write_ply(folder / "surfels.ply", made.surfels, frame_comments(scene.frame));
+  write_pictures(folder, made, scene, progress);
+  if (interrupted()) throw Interrupted{};
+
+  std::vector<float> known;
+  for (const float v : made.dsm.z.values())
+    if (std::isfinite(v)) known.push_back(v);
+  const auto [low, high] = std::minmax_element(known.begin(), known.end());
+  const double z_low = known.empty() ? kNan : *low + scene.frame.h0,
+               z_high = known.empty() ? kNan : *high + scene.frame.h0;
+  const Index H = made.dsm.z.dim(0), W = made.dsm.z.dim(1), surfels = made.surfels.means.dim(0);
+  if (known.empty())
+    throw Error(
+        "reconstruct: no cell of the surface got a height, wanted images that agree; see satsurf "
+        "info");
+  record.results() = {{"completeness", made.completeness},
+                      {"cells", {H, W}},
+                      {"resolution", made.dsm.step},
+                      {"crs", "EPSG:" + std::to_string(scene.frame.zone.epsg())},
+                      {"vertical_datum", "WGS84 ellipsoid"},
+                      {"height_range", {user.range.range.low, user.range.range.high}},
+                      {"height_range_source", user.range.source},
+                      {"lowest", z_low},
+                      {"highest", z_high},
+                      {"mean_confidence", mean_of(made.confidence)},
+                      {"surfels", surfels},
+                      {"tiles", made.tiles},
+                      {"reconstruct_seconds", seconds}};
+  record.save(folder / "run.json");
+  folder.commit();
+
+  std::printf(
+      "surface       %td x %td cells of %g m, EPSG:%d, %.1f to %.1f m above the ellipsoid\n", W, H,
+      made.dsm.step, scene.frame.zone.epsg(), z_low, z_high);
+  std::printf("completeness  %.1f %%\n", 100 * made.completeness);
+  std::printf("confidence    %.3f on average\n", mean_of(made.confidence));
+  std::printf("surfels       %td from %zu images in %td tile%s\n", surfels, scene.views.size(),
+              made.tiles, made.tiles == 1 ? "" : "s");
+  std::printf("time          %.1f s\n", seconds);
+  std::printf("written to    %s\n", options.out.c_str());
+}
+
+void run_render(const RenderCommand& options) {
+  const std::string extension = options.out.extension().string();
+  const bool png = extension == ".png", tif = extension == ".tif" || extension == ".tiff";
+  if (!png && !tif)
+    throw ConfigError("--out: " + options.out.string() + ", wanted a name ending in .png or .tif");
+  if (fs::exists(options.out) && !options.overwrite)
+    throw IoError("--out: " + options.out.string() + " exists; use --overwrite");
+  const NoGrad no_grad;
+  const splat::PlyContent content = splat::read_ply(options.surfels);
+  const rpc::LocalFrame frame = frame_from_comments(content.comments, options.surfels.string());
+  const Tensor& means = content.surfels.means.value();
+  const auto [z_low, z_high] = column_range(means, 2);
+  if (!(z_low <= z_high))
+    throw IoError(options.surfels.string() + ": no surfels, wanted a surface");
+
+  if (!options.image.empty()) {
+    const rpc::RasterInfo info = rpc::view_info(options.image, options.image_dirs);
+    const auto render = nn::render_view(
+        content.surfels, camera_of(*info.rpc, frame, info.width, info.height, z_low, z_high),
+        info.height, info.width, 1);
+    Tensor colour = render.colour.value().clone();
+    if (png) return write_png(options.out, colour);
+    for (float& v : colour.values()) v *= 255;
+    return rpc::write_rpc_geotiff(options.out, colour, rpc::PixelType::uint8, *info.rpc);
+  }
+
+  const double step = options.resolution > 0 ? options.resolution : 0.5;
+  const auto [x_low, x_high] = column_range(means, 0);
+  const auto [y_low, y_high] = column_range(means, 1);
+  const auto W = static_cast<Index>(std::ceil((x_high - x_low) / step)) + 1;
+  const auto H = static_cast<Index>(std::ceil((y_high - y_low) / step)) + 1;
+  const HeightField grid{
+      {}, std::floor(x_low / step) * step, std::ceil(y_high / step) * step, step};
+  constexpr Index kLargest = 1 << 28;  // cells; a GeoTIFF of 1 GB
+  if (H > kLargest / W)
+    throw Error("render: " + std::to_string(W) + " x " + std::to_string(H) +
+                " cells, wanted fewer than " + std::to_string(kLargest) +
+                "; give a larger --resolution");
+  const auto render =
+      nn::render_view(content.surfels, nadir_camera(grid.x0, grid.y0, step), H, W, 1);
+  if (png) return write_png(options.out, render.colour.value());
+  Tensor z = render.median_height.clone();
+  for (Index i = 0; i < z.count(); ++i)
+    if (render.alpha.value()[i] < 0.5f) z[i] = kNan;
+  write_field(options.out, z, grid, frame, frame.h0, rpc::ellipsoidal_height("Surface heights"));
+}
+
+}  // namespace satsurf::train

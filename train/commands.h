@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/rpc/fit.h"
+#include "satsurf/rpc/frame.h"
+#include "satsurf/train/simulate/scene.h"
+#include "satsurf/train/trainer.h"
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace satsurf::train {
+
+// The sub-commands of the `satsurf` program. Each does its work, writes results to stdout and
+// progress to stderr, and throws Error for anything that stops it; files appear complete or not at
+// all.
+
+/// Thrown out of a command when the user pressed Ctrl-C.
+struct Interrupted {};
+/// From now on the first SIGINT is noted and the second one kills.
+void catch_interrupts();
+bool interrupted();
+
+struct InfoOptions {
+  std::vector<std::filesystem::path> images, image_dirs;
+};
+/// Size, camera and where it came from, footprint, viewing and sun angles of images; overlap and
+/// parallax of pairs.
+void run_info(const InfoOptions& options);
+
+struct SimulateOptions {
+  std::filesystem::path out;
+  SimulateConfig config;
+  bool overwrite = false, quiet = false;
+};
+void run_simulate(const SimulateOptions& options);
+
+struct TrainOptions {
+  std::filesystem::path data, out;
+  TrainConfig config;
+  std::uint64_t seed = 0;
+  bool overwrite = false, resume = false, quiet = false;
+};
+/// throws Interrupted after saving a checkpoint
+void run_train(const TrainOptions& options);
+
+struct ReconstructCommand {
+  std::vector<std::filesystem::path> images, image_dirs;
+  std::filesystem::path out, weights;  ///< weights may be empty: the shipped ones
+  std::optional<rpc::HeightRange> height_range;
+  double resolution = 0;  ///< m, 0 for the images' own
+  bool overwrite = false, quiet = false;
+};
+void run_reconstruct(const ReconstructCommand& options);
+
+struct EvaluateDsmOptions {
+  std::filesystem::path dsm, truth, classes, json, picture;  ///< the last three may be empty
+  std::string registration = "none";
+  bool mask_water = false;
+};
+void run_evaluate_dsm(const EvaluateDsmOptions& options);
+
+struct EvaluateDataOptions {
+  std::filesystem::path data, weights, json, csv;  ///< the last three may be empty
+  std::string registration = "none";
+  Index views = 3;
+  bool mask_water = true, quiet = false;
+};
+void run_evaluate_data(const EvaluateDataOptions& options);
+
+struct RenderCommand {
+  std::filesystem::path surfels, image, out;  ///< without an image: from straight above
+  std::vector<std::filesystem::path> image_dirs;
+  double resolution = 0;  ///< of the view from above, m; 0: half a metre
+  bool overwrite = false;
+};
+void run_render(const RenderCommand& options);
+
+/// The file asked for; else the one SATSURF_WEIGHTS names; else the one shipped with the program.
+/// throws IoError naming the places looked in
+std::filesystem::path find_weights(const std::filesystem::path& asked);
+
+/// The frame of a surfel file, as comment lines of its header.
+std::vector<std::string> frame_comments(const rpc::LocalFrame& frame);
+/// throws IoError if the lines do not name one
+rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
+                                    const std::string& where);
+
+}  // namespace satsurf::train
