@@ -157,49 +157,136 @@ void sum_lanes(const T* vectors, Index n, T* out) {
   }
 }
 
-template <class T>
-void pad_row(const T* src, Index n, Index first, Index step, T* dst, Index count) {
-  Index begin = first >= 0 ? 0 : (-first + step - 1) / step;
-  Index end = n > first ? (n - first + step - 1) / step : 0;
-  if (begin > count) begin = count;
-  if (end > count) end = count;
-  if (end < begin) end = begin;
-  for (Index i = 0; i < begin; ++i) dst[i] = T(0);
-  if (step == 1)
-    for (Index i = begin; i < end; ++i) dst[i] = src[first + i];
-  else if (step == 2)
-    for (Index i = begin; i < end; ++i) dst[i] = src[first + 2 * i];
-  else
-    for (Index i = begin; i < end; ++i) dst[i] = src[first + step * i];
-  for (Index i = end; i < count; ++i) dst[i] = T(0);
+/// Indices of one vector, for the shuffles below.
+template <Index... I>
+struct Lanes {};
+template <Index N, Index... I>
+struct CountLanes : CountLanes<N - 1, N - 1, I...> {};
+template <Index... I>
+struct CountLanes<0, I...> {
+  using Type = Lanes<I...>;
+};
+
+/// Elements 0, 2, .. and 1, 3, .. of a followed by b.
+template <class T, Index... I>
+void split(const Batch<T>& a, const Batch<T>& b, Batch<T>& even, Batch<T>& odd, Lanes<I...>) {
+  even = Batch<T>(__builtin_shufflevector(a.data, b.data, (2 * I)...));
+  odd = Batch<T>(__builtin_shufflevector(a.data, b.data, (2 * I + 1)...));
+}
+
+/// The inverse of split.
+template <class T, Index... I>
+void interleave(const Batch<T>& even, const Batch<T>& odd, Batch<T>& a, Batch<T>& b, Lanes<I...>) {
+  constexpr Index L = kLanes<T>;
+  a = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + I % 2 * L)...));
+  b = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + L / 2 + I % 2 * L)...));
 }
 
 template <class T>
-void store_row(const T* __restrict src, Index phase_stride, Index phases, T bias, bool accumulate,
-               T* __restrict dst, Index n) {
-  if (phases == 1) {
-    if (accumulate)
-      for (Index i = 0; i < n; ++i) dst[i] += src[i] + bias;
-    else
-      for (Index i = 0; i < n; ++i) dst[i] = src[i] + bias;
-  } else if (phases == 2) {
-    const T* odd = src + phase_stride;
-    const Index pairs = n / 2;
-    if (accumulate)
-      for (Index i = 0; i < pairs; ++i) {
-        dst[2 * i] += src[i] + bias;
-        dst[2 * i + 1] += odd[i] + bias;
-      }
-    else
-      for (Index i = 0; i < pairs; ++i) {
-        dst[2 * i] = src[i] + bias;
-        dst[2 * i + 1] = odd[i] + bias;
-      }
-    if (n % 2 != 0) dst[n - 1] = (accumulate ? dst[n - 1] : T(0)) + src[pairs] + bias;
-  } else {
-    for (Index i = 0; i < n; ++i)
-      dst[i] = (accumulate ? dst[i] : T(0)) + src[i % phases * phase_stride + i / phases] + bias;
+using AllLanes = typename CountLanes<kLanes<T>>::Type;
+
+template <class T>
+void copy_row(const T* src, T* dst, Index n) {
+  constexpr Index L = kLanes<T>;
+  Index i = 0;
+  for (; i + L <= n; i += L) Batch<T>::load_unaligned(src + i).store_unaligned(dst + i);
+  if (i < n && n >= L)
+    Batch<T>::load_unaligned(src + n - L).store_unaligned(dst + n - L);
+  else
+    for (; i < n; ++i) dst[i] = src[i];
+}
+
+template <class T>
+void split_row(const T* src, T* even, T* odd, Index n) {
+  constexpr Index L = kLanes<T>;
+  const auto vector = [&](Index i) {
+    Batch<T> e, o;
+    split(Batch<T>::load_unaligned(src + 2 * i), Batch<T>::load_unaligned(src + 2 * i + L), e, o,
+          AllLanes<T>{});
+    e.store_unaligned(even + i);
+    o.store_unaligned(odd + i);
+  };
+  Index i = 0;
+  for (; i + L <= n; i += L) vector(i);
+  if (i < n && n >= L) return vector(n - L);
+  for (; i < n; ++i) {
+    even[i] = src[2 * i];
+    odd[i] = src[2 * i + 1];
   }
+}
+
+template <class T>
+void pad_row(const T* src, Index n, Index left, Index phases, T* dst, Index phase_stride,
+             Index count) {
+  if (n == 0) {
+    for (Index f = 0; f < phases; ++f)
+      for (Index i = 0; i < count; ++i) dst[f * phase_stride + i] = T(0);
+    return;
+  }
+  // Indices of which every phase is inside; the few around them are looked at one by one.
+  Index begin = left > 0 ? (left + phases - 1) / phases : 0;
+  Index end = n + left >= phases ? (n + left - phases) / phases + 1 : 0;
+  if (end > count) end = count;
+  if (begin > end) begin = end;
+  const T* inner = src + begin * phases - left;
+  if (phases == 1)
+    copy_row(inner, dst + begin, end - begin);
+  else if (phases == 2)
+    split_row(inner, dst + begin, dst + phase_stride + begin, end - begin);
+  else
+    for (Index f = 0; f < phases; ++f)
+      for (Index i = begin; i < end; ++i)
+        dst[f * phase_stride + i] = inner[(i - begin) * phases + f];
+  const auto outer = [&](Index first, Index last) {
+    for (Index f = 0; f < phases; ++f)
+      for (Index i = first; i < last; ++i) {
+        const Index in = i * phases + f - left;
+        dst[f * phase_stride + i] = in >= 0 && in < n ? src[in] : T(0);
+      }
+  };
+  outer(0, begin);
+  outer(end, count);
+}
+
+template <class T>
+void interleave_row(const T* even, const T* odd, T bias, bool accumulate, T* dst, Index pairs) {
+  constexpr Index L = kLanes<T>;
+  Index i = 0;
+  for (; i + L <= pairs; i += L) {
+    Batch<T> a, b;
+    interleave(Batch<T>::load_unaligned(even + i) + bias, Batch<T>::load_unaligned(odd + i) + bias,
+               a, b, AllLanes<T>{});
+    T* to = dst + 2 * i;
+    if (accumulate) {
+      a += Batch<T>::load_unaligned(to);
+      b += Batch<T>::load_unaligned(to + L);
+    }
+    a.store_unaligned(to);
+    b.store_unaligned(to + L);
+  }
+  for (; i < pairs; ++i) {
+    dst[2 * i] = (accumulate ? dst[2 * i] : T(0)) + (even[i] + bias);
+    dst[2 * i + 1] = (accumulate ? dst[2 * i + 1] : T(0)) + (odd[i] + bias);
+  }
+}
+
+template <class T>
+void store_row(const T* src, Index phase_stride, Index phases, T bias, bool accumulate, T* dst,
+               Index n) {
+  constexpr Index L = kLanes<T>;
+  Index i = 0;
+  if (phases == 1) {
+    for (; i + L <= n; i += L) {
+      Batch<T> v = Batch<T>::load_unaligned(src + i) + bias;
+      if (accumulate) v += Batch<T>::load_unaligned(dst + i);
+      v.store_unaligned(dst + i);
+    }
+  } else if (phases == 2) {
+    interleave_row(src, src + phase_stride, bias, accumulate, dst, n / 2);
+    i = n / 2 * 2;
+  }
+  for (; i < n; ++i)
+    dst[i] = (accumulate ? dst[i] : T(0)) + (src[i % phases * phase_stride + i / phases] + bias);
 }
 
 template <class T>

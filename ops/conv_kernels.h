@@ -37,8 +37,10 @@ struct ConvKernels {
   /// out[i] = sum of the lanes of vector i of `vectors`
   void (*sum_lanes)(const T* vectors, Index n, T* out);
 
-  /// dst[i] = src[first + i * step] where that index is in [0, n), else 0, for 0 <= i < count
-  void (*pad_row)(const T* src, Index n, Index first, Index step, T* dst, Index count);
+  /// dst[f * phase_stride + i] = src[i * phases + f - left] where that index is in [0, n), else 0,
+  /// for every phase f and 0 <= i < count
+  void (*pad_row)(const T* src, Index n, Index left, Index phases, T* dst, Index phase_stride,
+                  Index count);
 
   /// dst[m * phases + f] = (accumulate ? itself : 0) + bias + src[f * phase_stride + m], below n
   void (*store_row)(const T* src, Index phase_stride, Index phases, T bias, bool accumulate, T* dst,

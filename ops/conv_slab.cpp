@@ -142,16 +142,14 @@ void Slab<T>::load_plane(Index plane) {
   T* slot = buffer_.data() + plane % planes_ * plane_stride_;
   for (Index c = 0; c < C_; ++c, slot += c_stride_) {
     T* dst = slot;
-    for (Index f = 0; f < row.reads; ++f)
-      for (Index h = 0; h < column.reads; ++h)
-        for (Index i = 0; i < line_rows_; ++i, dst += pitch_) {
-          const Index y = (row_ + i) * row.reads + f - row.left;
-          const bool inside = z >= 0 && z < depth.size && y >= 0 && y < row.size;
-          const T* src =
-              inside ? image_ + ((c * depth.size + z) * row.size + y) * column.size : nullptr;
-          kernels_.pad_row(src, inside ? column.size : 0, h - column.left, column.reads, dst,
-                           pitch_);
-        }
+    for (Index f = 0; f < row.reads; ++f, dst += column.reads * line_rows_ * pitch_)
+      for (Index i = 0; i < line_rows_; ++i) {
+        const Index y = (row_ + i) * row.reads + f - row.left;
+        const bool inside = z >= 0 && z < depth.size && y >= 0 && y < row.size;
+        const T* src = image_ + (inside ? ((c * depth.size + z) * row.size + y) * column.size : 0);
+        kernels_.pad_row(src, inside ? column.size : 0, column.left, column.reads, dst + i * pitch_,
+                         line_rows_ * pitch_, pitch_);
+      }
   }
 }
 
