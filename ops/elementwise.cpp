@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/ops/elementwise.h"
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/pointwise_kernels.h"
 
 #include <cmath>
 #include <string>
@@ -93,27 +95,31 @@ BasicVar<T> relu(const BasicVar<T>& x) {
   auto out = BasicTensor<T>::uninitialised(x.shape());
   const T* px = x.value().data();
   T* y = out.data();
-  each(out.count(), [=](Index i) { y[i] = px[i] > 0 ? px[i] : T(0); });
+  each(out.count(), [=](Index i) { y[i] = px[i] < 0 ? T(0) : px[i]; });  // NaN stays
   return BasicVar<T>::record("relu", out, {x}, [](Node<T>& n) {
     const T *g = n.grad.data(), *v = n.value.data();
+    const auto kernel = SATSURF_DISPATCH(relu_backward<T>);
     if (T* dx = n.grad_in(0))
-      each(n.grad.count(), [=](Index i) { dx[i] += v[i] > 0 ? g[i] : T(0); });
+      for_range(n.grad.count(), kGrain, [=](Index begin, Index end) {
+        kernel(end - begin, v + begin, g + begin, dx + begin);
+      });
   });
 }
 
 template <class T>
 BasicVar<T> gelu(const BasicVar<T>& x) {
-  const T rsqrt2 = T(0.70710678118654752440), rsqrt2pi = T(0.39894228040143267794);
   auto out = BasicTensor<T>::uninitialised(x.shape());
   const T* px = x.value().data();
   T* y = out.data();
-  each(out.count(), [=](Index i) { y[i] = px[i] * T(0.5) * std::erfc(-px[i] * rsqrt2); });
-  return BasicVar<T>::record("gelu", out, {x}, [=](Node<T>& n) {
+  const auto forward = SATSURF_DISPATCH(gelu<T>);
+  for_range(out.count(), kGrain,
+            [=](Index begin, Index end) { forward(end - begin, px + begin, y + begin); });
+  return BasicVar<T>::record("gelu", out, {x}, [](Node<T>& n) {
     const T *g = n.grad.data(), *v = n.in(0);
-    if (T* dx = n.grad_in(0))  // d/dx x Phi(x) = Phi(x) + x phi(x)
-      each(n.grad.count(), [=](Index i) {
-        dx[i] += g[i] * (T(0.5) * std::erfc(-v[i] * rsqrt2) +
-                         v[i] * rsqrt2pi * std::exp(T(-0.5) * v[i] * v[i]));
+    const auto backward = SATSURF_DISPATCH(gelu_backward<T>);
+    if (T* dx = n.grad_in(0))
+      for_range(n.grad.count(), kGrain, [=](Index begin, Index end) {
+        backward(end - begin, v + begin, g + begin, dx + begin);
       });
   });
 }
@@ -123,7 +129,9 @@ BasicVar<T> sigmoid(const BasicVar<T>& x) {
   auto out = BasicTensor<T>::uninitialised(x.shape());
   const T* px = x.value().data();
   T* y = out.data();
-  each(out.count(), [=](Index i) { y[i] = logistic(px[i]); });
+  const auto kernel = SATSURF_DISPATCH(logistic<T>);
+  for_range(out.count(), kGrain,
+            [=](Index begin, Index end) { kernel(end - begin, px + begin, y + begin); });
   return BasicVar<T>::record("sigmoid", out, {x}, [](Node<T>& n) {
     const T *g = n.grad.data(), *s = n.value.data();
     if (T* dx = n.grad_in(0))

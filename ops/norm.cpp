@@ -2,7 +2,9 @@
 #include "satsurf/ops/norm.h"
 
 #include "satsurf/core/dims.h"
+#include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/pointwise_kernels.h"
 
 #include <algorithm>
 #include <cmath>
@@ -33,26 +35,16 @@ struct Layout {
   }
 };
 
+/// Two sums that are always taken together; the kernels write them side by side.
 struct Pair {
-  double a = 0, b = 0;
+  double value[2] = {0, 0};
+  Pair& operator+=(const Pair& o) {
+    value[0] += o.value[0];
+    value[1] += o.value[1];
+    return *this;
+  }
 };
 std::size_t at(Index i) { return static_cast<std::size_t>(i); }
-
-template <class T>
-T activate(Activation activation, T z) {
-  if (activation == Activation::relu) return z > 0 ? z : T(0);
-  if (activation == Activation::gelu) return T(0.5) * z * std::erfc(-z * T(0.70710678118654752440));
-  return z;
-}
-
-template <class T>
-T activation_slope(Activation activation, T z) {
-  if (activation == Activation::relu) return z > 0 ? T(1) : T(0);
-  if (activation == Activation::gelu)
-    return T(0.5) * std::erfc(-z * T(0.70710678118654752440)) +
-           z * T(0.39894228040143267794) * std::exp(T(-0.5) * z * z);
-  return T(1);
-}
 
 }  // namespace
 
@@ -75,82 +67,73 @@ BasicVar<T> group_norm(const BasicVar<T>& x, const BasicVar<T>& gamma, const Bas
   // Moments about the group's first element: one pass, and no cancellation where the mean is large.
   std::vector<Pair> sums(at(lay.rows() * lay.chunks));
   const T* px = x.value().data();
+  const auto add_up = SATSURF_DISPATCH(norm_sums<T>);
   lay.each_chunk([&](Index row, Index k, Index begin, Index end) {
-    const double shift = static_cast<double>(px[row / group_channels * group_channels * S]);
-    Pair p;
-    for (Index i = begin; i < end; ++i) {
-      const double e = static_cast<double>(px[i]) - shift;
-      p.a += e;
-      p.b += e * e;
-    }
-    sums[at(k)] = p;
+    add_up(end - begin, px + begin, px[row / group_channels * group_channels * S],
+           sums[at(k)].value);
   });
-  std::vector<T> mean(at(lay.B * G)), rstd(at(lay.B * G));
+  std::vector<T> rstd(at(lay.B * G)), shift(at(lay.B * G));  // x_hat = rstd x + shift
   for (Index q = 0; q < lay.B * G; ++q) {
     Pair p;
-    for (Index k = q * group_channels * lay.chunks; k < (q + 1) * group_channels * lay.chunks;
-         ++k) {
-      p.a += sums[at(k)].a;
-      p.b += sums[at(k)].b;
-    }
-    const double M = static_cast<double>(lay.per_group()), m = p.a / M;
-    const double variance = std::max(0.0, p.b / M - m * m);
-    mean[at(q)] = static_cast<T>(m + static_cast<double>(px[q * lay.per_group()]));
-    rstd[at(q)] = static_cast<T>(1 / std::sqrt(variance + static_cast<double>(epsilon)));
+    for (Index k = q * group_channels * lay.chunks; k < (q + 1) * group_channels * lay.chunks; ++k)
+      p += sums[at(k)];
+    const double M = static_cast<double>(lay.per_group()), m = p.value[0] / M;
+    const double variance = std::max(0.0, p.value[1] / M - m * m);
+    const double r = 1 / std::sqrt(variance + static_cast<double>(epsilon));
+    rstd[at(q)] = static_cast<T>(r);
+    shift[at(q)] = static_cast<T>(-r * (m + static_cast<double>(px[q * lay.per_group()])));
   }
 
   auto out = BasicTensor<T>::uninitialised(s);
+  const auto apply = SATSURF_DISPATCH(norm_apply<T>);
   lay.each_chunk([&](Index row, Index, Index begin, Index end) {
     const Index c = row % C, q = row / group_channels;
-    const T m = mean[at(q)], r = rstd[at(q)], ga = gamma.value()[c], be = beta.value()[c];
-    for (Index i = begin; i < end; ++i) out[i] = activate(activation, (px[i] - m) * r * ga + be);
+    const NormRow<T> r{rstd[at(q)], shift[at(q)], gamma.value()[c], beta.value()[c]};
+    apply(end - begin, px + begin, r, activation, out.data() + begin);
   });
 
   return BasicVar<T>::record("group_norm", out, {x, gamma, beta}, [=](Node<T>& n) {
     const T *g = n.grad.data(), *v = n.in(0), *ga = n.in(1), *be = n.in(2);
     T *dx = n.grad_in(0), *dgamma = n.grad_in(1), *dbeta = n.grad_in(2);
-    std::vector<Pair> part(at(lay.rows() * lay.chunks));  // sums of dz and of dz x_hat
-    const auto dz = [=](Index i, Index c, T x_hat) {
-      return g[i] * activation_slope(activation, x_hat * ga[c] + be[c]);
-    };
-    lay.each_chunk([&](Index row, Index k, Index begin, Index end) {
+    const auto row_of = [&](Index row) {
       const Index c = row % C, q = row / group_channels;
-      Pair p;
-      for (Index i = begin; i < end; ++i) {
-        const T x_hat = (v[i] - mean[at(q)]) * rstd[at(q)], d = dz(i, c, x_hat);
-        p.a += static_cast<double>(d);
-        p.b += static_cast<double>(d * x_hat);
-      }
-      part[at(k)] = p;
+      return NormRow<T>{rstd[at(q)], shift[at(q)], ga[c], be[c]};
+    };
+    // dz = g act'(z): GELU's slope is dear, so it is kept for the second pass; ReLU's is a
+    // comparison.
+    BasicTensor<T> kept;
+    if (dx != nullptr && activation == Activation::gelu)
+      kept = BasicTensor<T>::uninitialised(n.value.shape());
+    std::vector<Pair> part(at(lay.rows() * lay.chunks));  // sums of dz and of dz x_hat
+    const auto slopes = SATSURF_DISPATCH(norm_slopes<T>);
+    lay.each_chunk([&](Index row, Index k, Index begin, Index end) {
+      slopes(end - begin, v + begin, g + begin, row_of(row), activation,
+             kept.empty() ? nullptr : kept.data() + begin, part[at(k)].value);
     });
     std::vector<Pair> row_sum(at(lay.rows())), group_mean(at(lay.B * G));
     for (Index row = 0; row < lay.rows(); ++row) {
-      Pair& p = row_sum[at(row)];
-      for (Index k = row * lay.chunks; k < (row + 1) * lay.chunks; ++k) {
-        p.a += part[at(k)].a;
-        p.b += part[at(k)].b;
-      }
+      for (Index k = row * lay.chunks; k < (row + 1) * lay.chunks; ++k)
+        row_sum[at(row)] += part[at(k)];
       const double scale = static_cast<double>(ga[row % C]) / static_cast<double>(lay.per_group());
-      group_mean[at(row / group_channels)].a += scale * p.a;
-      group_mean[at(row / group_channels)].b += scale * p.b;
+      for (std::size_t m = 0; m < 2; ++m)
+        group_mean[at(row / group_channels)].value[m] += scale * row_sum[at(row)].value[m];
     }
     for (Index c = 0; c < C; ++c) {
       Pair p;
-      for (Index b = 0; b < lay.B; ++b) {
-        p.a += row_sum[at(b * C + c)].a;
-        p.b += row_sum[at(b * C + c)].b;
-      }
-      if (dbeta != nullptr) dbeta[c] += static_cast<T>(p.a);
-      if (dgamma != nullptr) dgamma[c] += static_cast<T>(p.b);
+      for (Index b = 0; b < lay.B; ++b) p += row_sum[at(b * C + c)];
+      if (dbeta != nullptr) dbeta[c] += static_cast<T>(p.value[0]);
+      if (dgamma != nullptr) dgamma[c] += static_cast<T>(p.value[1]);
     }
     if (dx == nullptr) return;
+    const T* dz = kept.empty() ? g : kept.data();
+    const auto gradient = SATSURF_DISPATCH(norm_gradient<T>);
     lay.each_chunk([&](Index row, Index, Index begin, Index end) {
-      const Index c = row % C, q = row / group_channels;
-      const T m1 = static_cast<T>(group_mean[at(q)].a), m2 = static_cast<T>(group_mean[at(q)].b);
-      for (Index i = begin; i < end; ++i) {
-        const T x_hat = (v[i] - mean[at(q)]) * rstd[at(q)];
-        dx[i] += rstd[at(q)] * (ga[c] * dz(i, c, x_hat) - m1 - x_hat * m2);
-      }
+      // dx = rstd (gamma dz - mean(gamma dz) - x_hat mean(gamma dz x_hat)), means over the group
+      const NormRow<T> r = row_of(row);
+      const auto& m = group_mean[at(row / group_channels)].value;
+      gradient(end - begin, v + begin, dz + begin, r, activation == Activation::relu,
+               r.rstd * r.gamma, -r.rstd * static_cast<T>(m[1]), -r.rstd * static_cast<T>(m[0]),
+               dx + begin);
     });
   });
 }

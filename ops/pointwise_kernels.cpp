@@ -92,7 +92,7 @@ class PairSum {
     a_ = b_ = Batch<T>(T(0));
     batches_ = 0;
   }
-  Batch<T> a_{T(0)}, b_{T(0)};
+  Batch<T> a_ = Batch<T>(T(0)), b_ = Batch<T>(T(0));
   double total_a_ = 0, total_b_ = 0;
   int batches_ = 0;
 };
@@ -110,7 +110,7 @@ struct NoActivation {
 struct Relu {
   template <class B>
   B value(const B& z) const {
-    return xsimd::max(z, B(0));
+    return xsimd::select(z < B(0), B(0), z);  // NaN stays
   }
   template <class B>
   B times_slope(const B& g, const B& z) const {

@@ -2,10 +2,12 @@
 #include "satsurf/ops/softmax.h"
 
 #include "satsurf/core/dims.h"
+#include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/pointwise_kernels.h"
 
 #include <algorithm>
-#include <cmath>
+#include <vector>
 
 namespace satsurf {
 namespace {
@@ -31,26 +33,24 @@ BasicVar<T> softmax_hypotheses(const BasicVar<T>& logits) {
   const Index B = dim["B"], D = dim["D"], P = dim["H"] * dim["W"];
 
   auto out = BasicTensor<T>::uninitialised(logits.shape());
+  if (out.count() == 0) return BasicVar<T>(out);
+  const auto forward = SATSURF_DISPATCH(softmax<T>);
   each_run(B, P, [&](Index b, Index begin, Index end) {
-    const T* x = logits.value().data() + b * D * P;
-    T* y = out.data() + b * D * P;
-    for (Index i = begin; i < end; ++i) {
-      T top = x[i], total = 0;
-      for (Index d = 1; d < D; ++d) top = std::max(top, x[d * P + i]);
-      for (Index d = 0; d < D; ++d) total += y[d * P + i] = std::exp(x[d * P + i] - top);
-      for (Index d = 0; d < D; ++d) y[d * P + i] /= total;
-    }
+    std::vector<T> tile(static_cast<std::size_t>(D * kSoftmaxTile));
+    for (Index i = begin; i < end; i += kSoftmaxTile)
+      forward(D, P, std::min(kSoftmaxTile, end - i), logits.value().data() + b * D * P + i,
+              out.data() + b * D * P + i, tile.data());
   });
   return BasicVar<T>::record("softmax_hypotheses", out, {logits}, [=](Node<T>& n) {
     T* dx = n.grad_in(0);
     if (dx == nullptr) return;
-    each_run(B, P, [&](Index b, Index begin, Index end) {
-      const T *g = n.grad.data() + b * D * P, *p = n.value.data() + b * D * P;
-      T* to = dx + b * D * P;
-      for (Index i = begin; i < end; ++i) {  // dL/dx_d = p_d (g_d - sum_k p_k g_k)
-        T mean = 0;
-        for (Index d = 0; d < D; ++d) mean += p[d * P + i] * g[d * P + i];
-        for (Index d = 0; d < D; ++d) to[d * P + i] += p[d * P + i] * (g[d * P + i] - mean);
+    const auto backward = SATSURF_DISPATCH(softmax_backward<T>);
+    each_run(B, P, [&](Index b, Index begin, Index end) {  // dL/dx_d = p_d (g_d - sum_k p_k g_k)
+      std::vector<T> tile(static_cast<std::size_t>(kSoftmaxTile));
+      for (Index i = begin; i < end; i += kSoftmaxTile) {
+        const Index at = b * D * P + i;
+        backward(D, P, std::min(kSoftmaxTile, end - i), n.value.data() + at, n.grad.data() + at,
+                 dx + at, tile.data());
       }
     });
   });
