@@ -9,7 +9,8 @@
 namespace satsurf::splat {
 namespace {
 
-constexpr Index kPiece = 16384;  // items per piece of a counting sort
+constexpr Index kPiece = 16384;     // items per piece of a counting sort
+constexpr std::size_t kAhead = 16;  // items by which memory is fetched earlier than it is needed
 
 /// Stable parallel counting sort in which an item may fall into any number of buckets.
 ///   visit(i, f)    calls f(bucket) for each bucket of item i
@@ -57,11 +58,6 @@ auto descending_key(T height) {
 }
 
 }  // namespace
-
-TileSpan tiles_of(const Box& box) {
-  if (box.x1 < box.x0) return {0, 0, 0, 0};
-  return {box.x0 / kTile, box.y0 / kTile, box.x1 / kTile + 1, box.y1 / kTile + 1};
-}
 
 template <class T>
 std::vector<std::int32_t> front_to_back(const std::vector<Box>& boxes, const T* heights,
@@ -111,7 +107,10 @@ TileLists bin(const std::vector<Box>& boxes, const std::vector<std::int32_t>& or
   out.first = counting_sort(
       static_cast<Index>(order.size()), out.rows * out.columns,
       [&](Index i, auto&& f) {
-        const auto surfel = static_cast<std::size_t>(order[static_cast<std::size_t>(i)]);
+        const auto rank = static_cast<std::size_t>(i);
+        // By height, the boxes lie all over memory.
+        if (rank + kAhead < order.size()) __builtin_prefetch(boxes.data() + order[rank + kAhead]);
+        const auto surfel = static_cast<std::size_t>(order[rank]);
         const TileSpan span = tiles_of(boxes[surfel]);
         for (Index y = span.y0; y < span.y1; ++y)
           for (Index x = span.x0; x < span.x1; ++x) f(y * out.columns + x);

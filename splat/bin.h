@@ -21,7 +21,14 @@ struct TileSpan {
   Index x0, y0, x1, y1;
   Index count() const { return (x1 - x0) * (y1 - y0); }
 };
-TileSpan tiles_of(const Box& box);
+inline TileSpan tiles_of(const Box& box) {
+  if (box.x1 < box.x0) return {0, 0, 0, 0};
+  const auto tile = [](std::int32_t pixel) {  // unsigned: a division by a power of two is a shift
+    return static_cast<Index>(static_cast<std::uint32_t>(pixel) /
+                              static_cast<std::uint32_t>(kTile));
+  };
+  return {tile(box.x0), tile(box.y0), tile(box.x1) + 1, tile(box.y1) + 1};
+}
 
 /// Surfels of every tile, front to back.
 struct TileLists {

@@ -1,25 +1,33 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/splat/rasterize.h"
+
 #include <filesystem>
 #include <string>
 #include <vector>
 
-#include "satsurf/splat/rasterize.h"
-
 namespace satsurf::splat {
 
-/// Writes surfels as a binary little-endian PLY with the property names of 3D Gaussian splatting viewers.
-/// `comments` become header comment lines (the frame: CRS and origin with 17 digits). Written to a temporary
-/// name and renamed. throws IoError
-void write_ply(const std::filesystem::path& path, const Surfels& surfels, const std::vector<std::string>& comments,
-               bool two_scales = false);
+/// Writes surfels as a binary little-endian PLY with the property names of 3D Gaussian splatting
+/// viewers: x y z (m), nx ny nz, f_dc_0..2 = (colour - 0.5) / 0.28209479, opacity as a logit,
+/// scale_0..2 as natural logarithms of metres, rot_0..3 as a unit quaternion w x y z. Auxiliary
+/// channels are left out. A viewer that knows no discs draws them as very flat ellipsoids and sorts
+/// those differently. comments    become header comment lines (the frame: CRS and origin with 17
+/// digits) two_scales  leaves out scale_2, as programs for discs expect; else it is log(1e-6)
+/// Written to a temporary name and renamed. throws IoError (also for numbers that are not finite),
+/// ShapeError
+void write_ply(const std::filesystem::path& path, const Surfels& surfels,
+               const std::vector<std::string>& comments, bool two_scales = false);
 
-/// Surfels and the comment lines of a file `write_ply` or a 2DGS/3DGS program made. throws IoError
+/// Surfels, without gradients and auxiliary channels, and comment lines.
 struct PlyContent {
   Surfels surfels;
   std::vector<std::string> comments;
 };
+/// Reads a file that `write_ply` or a program for discs or Gaussians made. The float properties of
+/// its one vertex element may come in any order and there may be more of them; a third scale and
+/// the normals are not used. Header, size and every number are checked. throws IoError in one line
 PlyContent read_ply(const std::filesystem::path& path);
 
 }  // namespace satsurf::splat

@@ -117,6 +117,9 @@ struct Blend {
   }
 };
 
+inline constexpr Index kAhead =
+    16;  // a tile's surfels lie all over memory: fetch them this much earlier
+
 /// Columns x0..x1 and rows y0..y1, both included, of the tile's blocks that a box meets.
 struct BlockSpan {
   Index x0, y0, x1, y1;
@@ -225,6 +228,11 @@ void forward(const Scene<T>& scene, const TileJob& tile, T* planes, T* maps, T* 
     const std::int32_t* surfels = tile.surfels + begin;
     for (Index& c : counts) c = 0;
     for (Index i = 0; i < n; ++i) {
+      if (begin + i + kAhead < tile.count) {
+        const Index next = surfels[i + kAhead];
+        __builtin_prefetch(scene.records + next * splat::kRecord);
+        __builtin_prefetch(scene.boxes + next);
+      }
       const T* from = scene.records + surfels[i] * splat::kRecord;
       for (Index f = 0; f < splat::kRecord; ++f) records[i * splat::kRecord + f] = from[f];
       const BlockSpan span = blocks_of<T>(scene.boxes[surfels[i]], tile);
@@ -420,6 +428,12 @@ void backward(const Scene<T>& scene, const TileJob& tile, const T* maps, const T
   const LaneOffsets<T> offsets;
   const B zero(T(0));
   for (Index i = 0; i < tile.count; ++i) {
+    if (i + kAhead < tile.count) {
+      const Index next = tile.surfels[i + kAhead];
+      __builtin_prefetch(scene.records + next * splat::kRecord);
+      __builtin_prefetch(scene.boxes + next);
+      __builtin_prefetch(first_slot + next);
+    }
     const Index p = tile.surfels[i];
     const Box& box = scene.boxes[p];
     const Index left = box.x0 / kTile, columns = box.x1 / kTile - left + 1;
