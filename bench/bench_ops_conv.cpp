@@ -20,6 +20,11 @@ void count_flops(benchmark::State& state, Index per_iteration) {
                                                 benchmark::Counter::kIsIterationInvariantRate);
 }
 
+/// A scalar whose backward pass hands `y` a gradient (of zeros), as the next op of a network would.
+Var root_of(const Var& y) {
+  return Var::record("root", Tensor::scalar(0.F), {y}, [](Node<float>& n) { n.grad_in(0); });
+}
+
 /// The forward pass alone, or followed by the backward pass.
 template <class Forward>
 void run(benchmark::State& state, bool backward, Index flops, const Forward& forward) {
@@ -28,8 +33,7 @@ void run(benchmark::State& state, bool backward, Index flops, const Forward& for
     for (auto _ : state) benchmark::DoNotOptimize(forward().value().data());
     return count_flops(state, flops);
   }
-  const Tensor seed(forward().shape(), 1.F);
-  for (auto _ : state) forward().backward(seed);
+  for (auto _ : state) root_of(forward()).backward();
   count_flops(state, 3 * flops);
 }
 

@@ -62,6 +62,7 @@ class Gather {
 
   void run(const T* in, const T* weight, WeightStrides stride, const T* bias, T* out,
            bool accumulate) const {
+    if (B_ == 0) return;
     const auto packed = pack(weight, stride);
     const Index planes = axes_[0].span();
     const Pieces pieces(B_, axes_, rows_in_cache<T>(axes_, C_, planes), kPieces);

@@ -3,6 +3,8 @@
 
 #include "satsurf/core/simd.h"
 
+#include <cstddef>
+
 namespace satsurf::SATSURF_ISA_NS {
 namespace {
 
@@ -148,15 +150,6 @@ void weight_gradient(const T* x, const ConvSegment* segments, Index count, const
   run.template operator()<1, tile_columns(1)>();
 }
 
-template <class T>
-void sum_lanes(const T* vectors, Index n, T* out) {
-  for (Index i = 0; i < n; ++i) {
-    T total = 0;
-    for (Index l = 0; l < kLanes<T>; ++l) total += vectors[i * kLanes<T> + l];
-    out[i] = total;
-  }
-}
-
 /// Indices of one vector, for the shuffles below.
 template <Index... I>
 struct Lanes {};
@@ -167,14 +160,7 @@ struct CountLanes<0, I...> {
   using Type = Lanes<I...>;
 };
 
-/// Elements 0, 2, .. and 1, 3, .. of a followed by b.
-template <class T, Index... I>
-void split(const Batch<T>& a, const Batch<T>& b, Batch<T>& even, Batch<T>& odd, Lanes<I...>) {
-  even = Batch<T>(__builtin_shufflevector(a.data, b.data, (2 * I)...));
-  odd = Batch<T>(__builtin_shufflevector(a.data, b.data, (2 * I + 1)...));
-}
-
-/// The inverse of split.
+/// Element I of both in turn: even[0], odd[0], even[1], ..
 template <class T, Index... I>
 void interleave(const Batch<T>& even, const Batch<T>& odd, Batch<T>& a, Batch<T>& b, Lanes<I...>) {
   constexpr Index L = kLanes<T>;
@@ -185,34 +171,63 @@ void interleave(const Batch<T>& even, const Batch<T>& odd, Batch<T>& a, Batch<T>
 template <class T>
 using AllLanes = typename CountLanes<kLanes<T>>::Type;
 
-template <class T>
-void copy_row(const T* src, T* dst, Index n) {
-  constexpr Index L = kLanes<T>;
-  Index i = 0;
-  for (; i + L <= n; i += L) Batch<T>::load_unaligned(src + i).store_unaligned(dst + i);
-  if (i < n && n >= L)
-    Batch<T>::load_unaligned(src + n - L).store_unaligned(dst + n - L);
-  else
-    for (; i < n; ++i) dst[i] = src[i];
-}
+/// Part of a vector, for rows shorter than one; xsimd's batches of other instruction sets would be
+/// shared with the sources compiled for those.
+template <class T, std::size_t Bytes>
+struct Part {
+  typedef T Vector __attribute__((vector_size(Bytes)));
+  static constexpr Index kCount = static_cast<Index>(Bytes / sizeof(T));
+  using Indices = typename CountLanes<kCount>::Type;
+
+  static Vector load(const T* p) {
+    Vector v;
+    __builtin_memcpy(&v, p, Bytes);
+    return v;
+  }
+  static void store(T* p, const Vector& v) { __builtin_memcpy(p, &v, Bytes); }
+};
 
 template <class T>
-void split_row(const T* src, T* even, T* odd, Index n) {
-  constexpr Index L = kLanes<T>;
-  const auto vector = [&](Index i) {
-    Batch<T> e, o;
-    split(Batch<T>::load_unaligned(src + 2 * i), Batch<T>::load_unaligned(src + 2 * i + L), e, o,
-          AllLanes<T>{});
-    e.store_unaligned(even + i);
-    o.store_unaligned(odd + i);
-  };
-  Index i = 0;
-  for (; i + L <= n; i += L) vector(i);
-  if (i < n && n >= L) return vector(n - L);
-  for (; i < n; ++i) {
-    even[i] = src[2 * i];
-    odd[i] = src[2 * i + 1];
+constexpr std::size_t kVectorBytes = static_cast<std::size_t>(kLanes<T>) * sizeof(T);
+
+/// Vectors from the front and one more that ends with the row; shorter rows by shorter vectors.
+template <class T, std::size_t Bytes = kVectorBytes<T>>
+void copy_row(const T* src, T* dst, Index n) {
+  using P = Part<T, Bytes>;
+  if (n < P::kCount) {
+    if constexpr (Bytes > 16) return copy_row<T, Bytes / 2>(src, dst, n);
+    for (Index i = 0; i < n; ++i) dst[i] = src[i];
+    return;
   }
+  for (Index i = 0; i + P::kCount <= n; i += P::kCount) P::store(dst + i, P::load(src + i));
+  P::store(dst + n - P::kCount, P::load(src + n - P::kCount));
+}
+
+template <class T, std::size_t Bytes, Index... I>
+void split_vector(const T* src, T* even, T* odd, Lanes<I...>) {
+  using P = Part<T, Bytes>;
+  const auto a = P::load(src), b = P::load(src + P::kCount);
+  P::store(even, __builtin_shufflevector(a, b, (2 * I)...));
+  P::store(odd, __builtin_shufflevector(a, b, (2 * I + 1)...));
+}
+
+/// even[i] = src[2 i], odd[i] = src[2 i + 1], walking as copy_row does.
+template <class T, std::size_t Bytes = kVectorBytes<T>>
+void split_row(const T* src, T* even, T* odd, Index n) {
+  using P = Part<T, Bytes>;
+  constexpr typename P::Indices kIndices{};
+  if (n < P::kCount) {
+    if constexpr (Bytes > 16) return split_row<T, Bytes / 2>(src, even, odd, n);
+    for (Index i = 0; i < n; ++i) {
+      even[i] = src[2 * i];
+      odd[i] = src[2 * i + 1];
+    }
+    return;
+  }
+  for (Index i = 0; i + P::kCount <= n; i += P::kCount)
+    split_vector<T, Bytes>(src + 2 * i, even + i, odd + i, kIndices);
+  const Index i = n - P::kCount;
+  split_vector<T, Bytes>(src + 2 * i, even + i, odd + i, kIndices);
 }
 
 template <class T>
@@ -289,6 +304,26 @@ void store_row(const T* src, Index phase_stride, Index phases, T bias, bool accu
     dst[i] = (accumulate ? dst[i] : T(0)) + (src[i % phases * phase_stride + i / phases] + bias);
 }
 
+/// The sum of a vector's lanes, by halves.
+template <class T, std::size_t Bytes = kVectorBytes<T>>
+T sum_halves(const typename Part<T, Bytes>::Vector& v) {
+  if constexpr (Bytes == 2 * sizeof(T)) {
+    return v[0] + v[1];
+  } else {
+    const auto half = [&]<Index... I>(Lanes<I...>) {
+      constexpr Index H = Part<T, Bytes / 2>::kCount;
+      return __builtin_shufflevector(v, v, I...) + __builtin_shufflevector(v, v, (H + I)...);
+    };
+    return sum_halves<T, Bytes / 2>(half(typename Part<T, Bytes / 2>::Indices{}));
+  }
+}
+
+template <class T>
+void sum_lanes(const T* vectors, Index n, T* out) {
+  using P = Part<T, kVectorBytes<T>>;
+  for (Index i = 0; i < n; ++i) out[i] = sum_halves<T>(P::load(vectors + i * kLanes<T>));
+}
+
 template <class T>
 T sum(const T* x, Index n) {
   constexpr Index L = kLanes<T>;
@@ -300,10 +335,9 @@ T sum(const T* x, Index n) {
     c += Batch<T>::load_unaligned(x + i + 2 * L);
     d += Batch<T>::load_unaligned(x + i + 3 * L);
   }
-  T lanes[kLanes<T>];
+  T lanes[kLanes<T>], total = 0;
   ((a + b) + (c + d)).store_unaligned(lanes);
-  T total = 0;
-  for (Index l = 0; l < L; ++l) total += lanes[l];
+  sum_lanes(lanes, 1, &total);
   for (; i < n; ++i) total += x[i];
   return total;
 }

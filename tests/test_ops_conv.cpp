@@ -239,6 +239,16 @@ TEST_CASE("convolutions give the same bits on one and on two threads") {
   }
 }
 
+TEST_CASE("convolutions of no image") {
+  const BasicVar<double> x(BasicTensor<double>({0, 2, 5, 7}), true),
+      w(normal({3, 2, 3, 3}, 1), true);
+  const auto y = conv2d(x, w, BasicVar<double>(), {.stride = {2, 2}, .padding = {1, 1}});
+  CHECK(y.shape() == Shape{0, 3, 3, 4});
+  y.backward(BasicTensor<double>(y.shape()));
+  CHECK(std::all_of(w.grad().values().begin(), w.grad().values().end(),
+                    [](double v) { return v == 0.0; }));
+}
+
 TEST_CASE("convolutions refuse what does not fit") {
   const auto none = BasicVar<double>();
   CHECK_THROWS_WITH_AS(conv2d(var({2, 3, 5, 7}), var({4, 2, 3, 3}), none),
