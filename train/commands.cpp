@@ -3,6 +3,7 @@
 
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/fields_json.h"
+#include "satsurf/rpc/read.h"
 #include "satsurf/train/evaluate.h"
 #include "satsurf/train/output_folder.h"
 #include "satsurf/train/preview.h"
@@ -43,6 +44,32 @@ void warn_of_datum(const HeightScores& s) {
         stderr,
         "note: the heights differ by %.1f m nearly everywhere; is one of them above the geoid?\n",
         s.median);
+}
+
+/// The true cells that count; empty for all.
+Tensor mask_of(const EvaluateDsmOptions& options, const DsmPair& pair) {
+  Tensor mask;
+  if (options.mask_water) {
+    if (options.classes.empty())
+      throw ConfigError("--mask-water: no --classes, wanted the class raster as well");
+    const rpc::GeoRaster classes = rpc::read_geo_raster(options.classes);
+    if (classes.values.shape() != pair.truth.z.shape())
+      throw IoError(options.classes.string() + ": shape " + classes.values.shape().str() +
+                    ", wanted the truth's " + pair.truth.z.shape().str());
+    mask = not_water(classes.values);
+  }
+  if (options.seen_by.empty()) return mask;
+  if (!pair.frame)
+    throw IoError(options.dsm.string() + " and " + options.truth.string() +
+                  ": no coordinate system, wanted a UTM zone to place the images of --seen-by");
+  std::vector<ImageCamera> cameras;
+  for (const fs::path& file : options.seen_by) {
+    const rpc::RasterInfo info = rpc::view_info(file, options.image_dirs);
+    cameras.push_back({*info.rpc, info.width, info.height});
+  }
+  Tensor seen = seen_by_two(pair.truth, *pair.frame, cameras);
+  for (Index i = 0; i < mask.count(); ++i) seen[i] *= mask[i];
+  return seen;
 }
 
 }  // namespace
@@ -124,16 +151,7 @@ void run_train(const TrainOptions& options) {
 void run_evaluate_dsm(const EvaluateDsmOptions& options) {
   const Registration registration = registration_from(options.registration);
   const DsmPair pair = load_dsm_pair(options.dsm, options.truth);
-  Tensor mask;
-  if (options.mask_water) {
-    if (options.classes.empty())
-      throw ConfigError("--mask-water: no --classes, wanted the class raster as well");
-    const rpc::GeoRaster classes = rpc::read_geo_raster(options.classes);
-    if (classes.values.shape() != pair.truth.z.shape())
-      throw IoError(options.classes.string() + ": shape " + classes.values.shape().str() +
-                    ", wanted the truth's " + pair.truth.z.shape().str());
-    mask = not_water(classes.values);
-  }
+  const Tensor mask = mask_of(options, pair);
   DsmComparison c;
   try {
     c = compare_dsm(pair.prediction, pair.truth, registration, mask);

@@ -57,6 +57,8 @@ void run_reconstruct(const ReconstructCommand& options);
 
 struct EvaluateDsmOptions {
   std::filesystem::path dsm, truth, classes, json, picture;  ///< the last three may be empty
+  std::vector<std::filesystem::path> seen_by,
+      image_dirs;  ///< images that limit the score to what two of them see
   std::string registration = "none";
   bool mask_water = false;
 };

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/evaluate.h"
 
+#include "satsurf/core/parallel.h"
 #include "satsurf/core/var.h"
 #include "satsurf/train/reconstruct.h"
 
@@ -124,6 +125,29 @@ Tensor not_water(const Tensor& classes) {
   return mask;
 }
 
+Tensor seen_by_two(const HeightField& truth, const rpc::LocalFrame& frame,
+                   const std::vector<ImageCamera>& images) {
+  const Index H = truth.z.dim(0), W = truth.z.dim(1);
+  Tensor mask({H, W});
+  for_each_index(H, [&](Index i) {
+    for (Index j = 0; j < W; ++j) {
+      const float z = truth.z[i * W + j];
+      if (!std::isfinite(z)) continue;
+      const rpc::Geodetic p = frame.geodetic_from_local(
+          {truth.x0 + (static_cast<double>(j) + 0.5) * truth.step,
+           truth.y0 - (static_cast<double>(i) + 0.5) * truth.step, static_cast<double>(z)});
+      int seen = 0;
+      for (const ImageCamera& image : images) {
+        const rpc::Pixel q = image.rpc.project(p);
+        seen += q.x >= -0.5 && q.y >= -0.5 && q.x < static_cast<double>(image.width) - 0.5 &&
+                q.y < static_cast<double>(image.height) - 0.5;
+      }
+      mask[i * W + j] = seen >= 2 ? 1.f : 0.f;
+    }
+  });
+  return mask;
+}
+
 DsmPair load_dsm_pair(const std::filesystem::path& prediction, const std::filesystem::path& truth) {
   const rpc::GeoRaster found = rpc::read_geo_raster(prediction),
                        known = rpc::read_geo_raster(truth);
@@ -138,7 +162,11 @@ DsmPair load_dsm_pair(const std::filesystem::path& prediction, const std::filesy
     const Tensor z = r.values.rank() == 3 ? r.values.slice0(0) : r.values;
     return HeightField{z, r.grid.x0 - east, r.grid.y0 - north, r.grid.step};
   };
-  return {field(found), field(known)};
+  DsmPair pair{field(found), field(known), std::nullopt};
+  const int epsg = b != 0 ? b : a, number = epsg % 100;
+  if ((epsg / 100 == 326 || epsg / 100 == 327) && number >= 1 && number <= 60)
+    pair.frame = rpc::LocalFrame{{number, epsg / 100 == 326}, east, north, 0};
+  return pair;
 }
 
 SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
@@ -161,9 +189,14 @@ SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
   how.progress = options.progress;
   const Reconstruction made = reconstruct(model, seen, how);
   out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  const bool masked = options.mask_water && !scene.classes.empty();
-  out.dsm = compare_dsm(made.dsm, *scene.truth, options.registration,
-                        masked ? not_water(scene.classes) : Tensor());
+  std::vector<ImageCamera> cameras;
+  for (const SceneView& v : seen.views) cameras.push_back({v.rpc, v.rgb.dim(2), v.rgb.dim(1)});
+  Tensor mask = seen_by_two(*scene.truth, scene.frame, cameras);
+  if (options.mask_water && !scene.classes.empty()) {
+    const Tensor dry = not_water(scene.classes);
+    for (Index i = 0; i < mask.count(); ++i) mask[i] *= dry[i];
+  }
+  out.dsm = compare_dsm(made.dsm, *scene.truth, options.registration, mask);
   out.target_psnr = std::nan("");
   score_views(model, scene, options, sources, out);
   return out;

@@ -8,6 +8,7 @@
 
 #include <filesystem>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -22,9 +23,21 @@ nlohmann::ordered_json scores_json(const DsmComparison& comparison);
 /// classes [H W]
 Tensor not_water(const Tensor& classes);
 
+/// A camera and the size of its image.
+struct ImageCamera {
+  rpc::Rpc rpc;
+  Index width = 0, height = 0;
+};
+/// 1 where the true surface lies inside at least two of the images: what a reconstruction from them
+/// can be asked for. Hidden ground counts. Field and frame belong together.
+Tensor seen_by_two(const HeightField& truth, const rpc::LocalFrame& frame,
+                   const std::vector<ImageCamera>& images);
+
 /// Two height rasters put into one metric frame: the truth's, minus its rounded corner.
 struct DsmPair {
   HeightField prediction, truth;
+  std::optional<rpc::LocalFrame>
+      frame;  ///< with h0 = 0; none if neither raster is known to be in a UTM zone
 };
 /// A raster without a known system is taken to be in the other's (DFC2019's truth has none).
 /// throws IoError if both are known and differ
@@ -51,7 +64,8 @@ struct SceneScores {
 };
 
 /// Reconstructs a scene from its first views and scores everything the field's tables hold. The
-/// height range is the scene's own, as in the protocols of the field. throws IoError if the scene
+/// height range is the scene's own, as in the protocols of the field; true cells count where two of
+/// these views see them. throws IoError if the scene
 /// has too few views or no truth
 SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
                            const EvaluateOptions& options);

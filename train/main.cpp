@@ -96,7 +96,7 @@ CLI::App* add_command(CLI::App& app, Common& common, const std::string& name,
   command->add_option("--threads", common.threads, "most threads to use, 0 for all cores")
       ->type_name("N")
       ->capture_default_str()
-      ->check(CLI::Range(0, 4096));
+      ->check(CLI::Range(0, 4096).description(""));
   command->add_flag("--quiet", common.quiet, "no progress on stderr");
   return command;
 }
@@ -180,7 +180,7 @@ void add_reconstruct(CLI::App& app, Common& common, std::function<void()>& run) 
       ->type_name("LOW HIGH in m");
   c->add_option("--resolution", o.resolution, "cell of the surface [size of a pixel on the ground]")
       ->type_name("number in m")
-      ->check(CLI::Range(0.01, 1000.0));
+      ->check(CLI::Range(0.01, 1000.0).description(""));
   c->callback([&] {
     o.quiet = common.quiet;
     if (range.size() == 2) o.height_range = rpc::HeightRange{range[0], range[1]};
@@ -203,6 +203,12 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
       ->group("One surface");
   c->add_flag("--mask-water", d.mask_water, "leave cells of class 9 (water) out")
       ->group("One surface");
+  c->add_option("--seen-by", d.seen_by, "score only what two or more of these images see")
+      ->type_name("IMG")
+      ->group("One surface");
+  c->add_option("--image-dir", d.image_dirs, "where else to look for the images JSON files name")
+      ->type_name("DIR")
+      ->group("One surface");
   c->add_option("--error-map", d.picture,
                 "picture of the errors, blue too low, red too high, 5 m at most")
       ->type_name("PNG")
@@ -217,7 +223,7 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
   c->add_option("--views", s.views, "source images of each scene")
       ->type_name("N")
       ->capture_default_str()
-      ->check(CLI::Range(2, 32))
+      ->check(CLI::Range(2, 32).description(""))
       ->group("A data set");
   c->add_flag("--keep-water", keep_water, "score cells of class 9 (water) as well")
       ->group("A data set");
@@ -252,7 +258,7 @@ void add_render(CLI::App& app, Common& common, std::function<void()>& run) {
   c->add_option("--resolution", o.resolution, "cell of the view from above")
       ->type_name("number in m")
       ->default_str("0.5")
-      ->check(CLI::Range(0.01, 1000.0));
+      ->check(CLI::Range(0.01, 1000.0).description(""));
   c->add_option(
        "--out", o.out,
        "colours as .png; as .tif the colours with the image's camera, or the heights from above")
