@@ -1,1 +1,205 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/rpc/read.h"
+
+#include "satsurf/core/dims.h"
+#include "satsurf/core/parallel.h"
+#include "satsurf/rpc/gdal.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <sstream>
+
+namespace satsurf::rpc {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// 1 where the file itself calls a pixel valid.
+std::vector<std::uint8_t> file_mask(const fs::path& path, GDALDataset& d,
+                                    const std::vector<int>& bands, const PixelWindow& w) {
+  const auto N = static_cast<std::size_t>(w.width * w.height);
+  std::vector<std::uint8_t> valid(N, 1);
+  const int flags = d.GetRasterBand(bands[0])->GetMaskFlags();
+  if (flags & GMF_ALL_VALID) return valid;
+  // One mask of the data set is enough; of masks by nodata value, a pixel is lost only where every
+  // channel is: a dark blue roof with 0 in one channel is a roof.
+  const std::size_t masks = flags & GMF_PER_DATASET ? 1 : bands.size();
+  std::vector<std::uint8_t> band(N);
+  std::fill(valid.begin(), valid.end(), std::uint8_t{0});
+  for (std::size_t b = 0; b < masks; ++b) {
+    GDALRasterBand* mask = d.GetRasterBand(bands[b])->GetMaskBand();
+    if (mask->RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0),
+                       static_cast<int>(w.width), static_cast<int>(w.height), band.data(),
+                       static_cast<int>(w.width), static_cast<int>(w.height), GDT_Byte, 0, 0,
+                       nullptr) != CE_None)
+      throw IoError(path.string() + ": the mask cannot be read; " + gdal_error());
+    for (std::size_t i = 0; i < N; ++i) valid[i] = valid[i] || band[i] != 0;
+  }
+  return valid;
+}
+
+/// Lowest values and highest of the middle 98 percent of the valid pixels of three channels
+/// together.
+std::pair<float, float> stretch_of(const Image& image, const std::array<Index, 3>& channels) {
+  constexpr Index kSample =
+      1 << 22;  // values looked at: enough for a percentile, little for the memory
+  const Index N = image.valid.count(), distinct = channels[0] == channels[2] ? 1 : 3;
+  const Index stride = std::max<Index>(1, N * distinct / kSample);
+  std::vector<float> values;
+  for (Index c = 0; c < distinct; ++c)
+    for (Index i = 0; i < N; i += stride)
+      if (image.valid[i] != 0)
+        values.push_back(image.pixels[channels[static_cast<std::size_t>(c)] * N + i]);
+  if (values.empty()) return {0, 1};
+  const auto at = [&](double part) {
+    const auto k =
+        static_cast<std::ptrdiff_t>(std::llround(part * static_cast<double>(values.size() - 1)));
+    std::nth_element(values.begin(), values.begin() + k, values.end());
+    return values[static_cast<std::size_t>(k)];
+  };
+  const float low = at(0.01), high = at(0.99);
+  return {low, high};
+}
+
+struct NamedView {
+  fs::path raster;
+  std::optional<SatNerfJson> json;
+};
+
+NamedView resolve(const fs::path& path, const std::vector<fs::path>& image_dirs) {
+  const std::string extension = path.extension().string();
+  if (extension != ".json" && extension != ".JSON") return {path, {}};
+  SatNerfJson json = read_satnerf_json(path);
+  std::vector<fs::path> folders{path.parent_path()};
+  folders.insert(folders.end(), image_dirs.begin(), image_dirs.end());
+  std::string tried;
+  for (const fs::path& folder : folders) {
+    const fs::path raster = folder / json.image;
+    if (fs::exists(raster)) return {raster, std::move(json)};
+    tried += (tried.empty() ? "" : ", ") + raster.string();
+  }
+  throw IoError(path.string() + ": its image \"" + json.image + "\" was not found, looked for " +
+                tried + "; name its folder");
+}
+
+/// Puts in what the JSON knows better, checks that it belongs to the image, and that there is a
+/// camera.
+void complete(RasterInfo& info, const fs::path& path, const NamedView& view) {
+  if (view.json) {
+    const SatNerfJson& j = *view.json;
+    if (j.width != info.width || j.height != info.height) {
+      std::ostringstream text;
+      text << path.string() << ": says " << j.width << " x " << j.height << " px, but "
+           << view.raster.string() << " has " << info.width << " x " << info.height;
+      throw IoError(text.str());
+    }
+    info.rpc = j.rpc;
+    info.rpc_source = "Sat-NeRF JSON";
+    info.tried.insert(info.tried.begin(), path.filename().string());
+    info.height_range = HeightRange{j.min_alt, j.max_alt};
+    if (j.sun_elevation_deg) info.sun_elevation_deg = j.sun_elevation_deg;
+    if (j.sun_azimuth_deg) info.sun_azimuth_deg = j.sun_azimuth_deg;
+    if (j.acquisition_date) info.acquisition_date = j.acquisition_date;
+  }
+  if (info.rpc) return;
+  std::string tried;
+  for (const std::string& name : info.tried) tried += (tried.empty() ? "" : ", ") + name;
+  throw IoError(path.string() + ": no camera (RPC), looked for " + tried);
+}
+
+}  // namespace
+
+Image read_image(const fs::path& path, const std::optional<PixelWindow>& window) {
+  const GdalScope scope;
+  const DatasetPtr d = open_raster(path);
+  Image image;
+  image.info = info_of(path, *d);
+  RasterInfo& info = image.info;
+  const PixelWindow w = window.value_or(PixelWindow{0, 0, info.width, info.height});
+  if (w.x0 < 0 || w.y0 < 0 || w.width < 1 || w.height < 1 || w.x0 + w.width > info.width ||
+      w.y0 + w.height > info.height) {
+    std::ostringstream text;
+    text << path.string() << ": window of " << w.width << " x " << w.height << " px at (" << w.x0
+         << ", " << w.y0 << "), wanted one inside " << info.width << " x " << info.height;
+    throw IoError(text.str());
+  }
+
+  std::vector<int> bands = colour_bands(*d);
+  const Index C = info.bands, H = w.height, W = w.width, N = H * W;
+  image.pixels = Tensor::uninitialised({C, H, W});
+  CPLErrorReset();
+  if (d->RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0), static_cast<int>(W),
+                  static_cast<int>(H), image.pixels.data(), static_cast<int>(W),
+                  static_cast<int>(H), GDT_Float32, static_cast<int>(C), bands.data(), 0, 0, 0,
+                  nullptr) != CE_None)
+    throw IoError(path.string() + ": the pixels cannot be read; " + gdal_error());
+
+  const auto mask = file_mask(path, *d, bands, w);
+  image.valid = Tensor::uninitialised({H, W});
+  const Index count = ordered_reduce<Index>(N, Index{1} << 16, 0, [&](Index begin, Index end) {
+    Index valid = 0;
+    for (Index i = begin; i < end; ++i) {
+      bool ok = mask[static_cast<std::size_t>(i)] != 0;
+      for (Index c = 0; c < C; ++c) ok = ok && std::isfinite(image.pixels[c * N + i]);
+      image.valid[i] = ok ? 1.0F : 0.0F;
+      valid += ok;
+    }
+    return valid;
+  });
+  if (count == 0)
+    throw IoError(path.string() + ": no valid pixel (all nodata, masked or NaN), wanted an image");
+
+  if (info.rpc) info.rpc = info.rpc->cropped(static_cast<double>(w.x0), static_cast<double>(w.y0));
+  if (auto& t = info.geotransform) {
+    const auto x = static_cast<double>(w.x0), y = static_cast<double>(w.y0);
+    (*t)[0] += (*t)[1] * x + (*t)[2] * y;
+    (*t)[3] += (*t)[4] * x + (*t)[5] * y;
+  }
+  info.width = W;
+  info.height = H;
+  return image;
+}
+
+Image open_view(const fs::path& path, const std::vector<fs::path>& image_dirs) {
+  const NamedView view = resolve(path, image_dirs);
+  // The camera is asked for first: it costs nothing, and large files without one are common.
+  RasterInfo info = read_info(view.raster);
+  complete(info, path, view);
+  Image image = read_image(view.raster);
+  image.info = std::move(info);
+  return image;
+}
+
+RasterInfo view_info(const fs::path& path, const std::vector<fs::path>& image_dirs) {
+  const NamedView view = resolve(path, image_dirs);
+  RasterInfo info = read_info(view.raster);
+  complete(info, path, view);
+  return info;
+}
+
+Tensor to_rgb(const Image& image) {
+  Dims dim("to_rgb");
+  dim.match("pixels", image.pixels, "C H W").match("valid", image.valid, "H W");
+  const Index C = dim["C"], H = dim["H"], W = dim["W"], N = H * W;
+  const std::array<Index, 3> channels =
+      C < 3 ? std::array<Index, 3>{0, 0, 0} : image.info.rgb_channels;
+  for (const Index c : channels)
+    if (c < 0 || c >= C)
+      throw ShapeError("to_rgb: channel " + std::to_string(c) + " of an image of " +
+                       std::to_string(C) + " channels");
+  const auto [low, high] =
+      image.info.dtype == "uint8" ? std::pair{0.0F, 255.0F} : stretch_of(image, channels);
+  const float scale = high > low ? 1 / (high - low) : 0;
+  auto rgb = Tensor::uninitialised({3, H, W});
+  for_range(3 * N, Index{1} << 16, [&, low = low](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) {
+      const Index c = channels[static_cast<std::size_t>(i / N)], at = i % N;
+      const float v = (image.pixels[c * N + at] - low) * scale;
+      rgb[i] = image.valid[at] != 0 ? std::clamp(v, 0.0F, 1.0F) : 0.0F;
+    }
+  });
+  return rgb;
+}
+
+}  // namespace satsurf::rpc

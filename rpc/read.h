@@ -20,14 +20,17 @@ struct RasterInfo {
   Index width = 0, height = 0, bands = 0;
   std::string dtype;  ///< uint8, uint16, int16, float32 or another of GDAL's, in these words
   std::optional<Rpc> rpc;
-  /// Where the camera came from: "TIFF tag", "RPB", "_RPC.TXT", "Maxar XML", "DIMAP", "NITF" or
-  /// "Sat-NeRF JSON"; another driver's name for other formats. Empty without a camera.
+  /// Where the camera came from: "TIFF tag", "RPB", "_RPC.TXT", "Maxar XML", "DIMAP", ".rpc file",
+  /// "NITF" or "Sat-NeRF JSON"; another driver's name for other formats. Empty without a camera.
   std::string rpc_source;
   std::vector<std::string> tried;  ///< the places looked in for a camera, best first
   std::optional<double> sun_elevation_deg, sun_azimuth_deg;
   std::optional<std::string> acquisition_date;  ///< as the file writes it
   std::optional<HeightRange> height_range;      ///< of the ground, m above the ellipsoid
   std::optional<double> nodata;
+  /// Which channels are red, green and blue: by the bands' own colours; B G R N and C B G Y R RE N
+  /// N2 of 4- and 8-band Maxar products that come with their metadata; else the first three.
+  std::array<Index, 3> rgb_channels{0, 1, 2};
   std::string crs;  ///< "EPSG:32617", WKT where no code is known, empty without one
   std::optional<std::array<double, 6>> geotransform;  ///< GDAL's order, corner of the first pixel
 };
@@ -45,7 +48,7 @@ struct PixelWindow {
 };
 
 /// Any raster GDAL opens. The camera may sit in the file (TIFF tag, NITF RPC00B) or beside it
-/// (NAME.RPB, NAME_RPC.TXT, NAME.XML, RPC_NAME.XML). throws IoError
+/// (NAME.RPB, NAME.XML, NAME_RPC.TXT, NAME.rpc; RPC_NAME.XML beside IMG_NAME). throws IoError
 RasterInfo read_info(const std::filesystem::path& path);
 
 /// Pixels of type uint8, uint16, int16 or float32 (others are converted by GDAL). An alpha band is
@@ -65,9 +68,8 @@ RasterInfo view_info(const std::filesystem::path& path,
                      const std::vector<std::filesystem::path>& image_dirs = {});
 
 /// Colours for the network, [3 H W] in [0, 1]; invalid pixels are 0.
-///   channels  one or two: the first, three times; three or more: the first three as red, green,
-///             blue (the order of RGB products and of 4-band Pleiades and WorldView bundles as
-///             delivered in natural colours)
+///   channels  one or two: the first, three times; three or more: `info.rgb_channels` (Pleiades and
+///             SPOT deliver R G B N)
 ///   values    uint8: / 255; others: the 1st to the 99th percentile of the valid pixels of these
 ///             channels together are stretched to [0, 1] and clipped, so that hue is kept
 Tensor to_rgb(const Image& image);

@@ -9,8 +9,8 @@ set(may_nn ${may_ops} rpc splat nn)
 set(may_train ${may_nn} train)
 set(may_bench ${may_nn})
 # Headers that engine users do not get: the same as in install() of CMakeLists.txt.
-set(internal "_kernels\\.h$|^core/(simd|fields_json)\\.h$|^ops/conv_(engine|slab)\\.h$|^splat/bin\\.h$|^rpc/(raster|read)\\.h$")
-set(readers rpc/read.cpp rpc/raster.cpp)  # the only ones that know GDAL
+set(internal "_kernels\\.h$|^core/(simd|fields_json)\\.h$|^ops/conv_(engine|slab)\\.h$|^splat/bin\\.h$|^rpc/(gdal|raster|read)\\.h$")
+set(readers rpc/gdal.h rpc/read.cpp rpc/read_info.cpp rpc/read_rpc.cpp rpc/raster.cpp)  # the only ones that know GDAL
 
 cmake_minimum_required(VERSION 3.25)
 cmake_path(ABSOLUTE_PATH SOURCE NORMALIZE)
