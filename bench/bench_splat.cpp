@@ -46,7 +46,7 @@ Scene make_scene(Index P, Index side) {
     quats[4 * p] = 1;
     for (Index c = 1; c < 4; ++c) quats[4 * p + c] = static_cast<float>(0.15 * rng.normal());
     for (Index c = 0; c < 2; ++c)
-      scales[2 * p + c] = static_cast<float>(step * rng.uniform(0.5, 0.8));
+      scales[2 * p + c] = static_cast<float>(gsd * rng.uniform(0.5, 0.8));
     opacity[p] = static_cast<float>(rng.uniform(0.4, 0.9));
   }
   s.surfels = {Var(means, true),   Var(quats, true),   Var(scales, true),

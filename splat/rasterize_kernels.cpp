@@ -133,28 +133,44 @@ inline BlockSpan blocks_of(const Box& box, const TileJob& tile) {
           (y1 < kTile ? y1 : kTile - 1) / kBlockHeight<T>};
 }
 
-/// Copies a tile's part of a [H W] map into a plane; pixels outside the image are `outside`.
-template <class T>
-void read_plane(const T* map, const Scene<T>& scene, const TileJob& tile, T outside, T* plane) {
-  for (Index y = 0; y < kTile; ++y)
-    for (Index x = 0; x < kTile; ++x) {
-      const bool in = tile.x0 + x < scene.width && tile.y0 + y < scene.height;
-      plane[in_plane<T>(x, y)] = in ? map[(tile.y0 + y) * scene.width + tile.x0 + x] : outside;
+/// Calls copy(plane offset, map offset, n) for each run of pixels that lie side by side in a plane
+/// and in a [H W] map, as far as they are inside the image.
+template <class T, class Copy>
+inline void for_runs(const Scene<T>& scene, const TileJob& tile, const Copy& copy) {
+  constexpr Index kRun = kBlockWidth<T>;
+  const Index rows = scene.height - tile.y0, columns = scene.width - tile.x0;
+  for (Index y = 0; y < (rows < kTile ? rows : kTile); ++y)
+    for (Index x = 0; x < kTile; x += kRun) {
+      const Index at = (tile.y0 + y) * scene.width + tile.x0 + x, n = columns - x;
+      if (n >= kRun)
+        copy(in_plane<T>(x, y), at, kRun);  // a constant: unrolled
+      else if (n > 0)
+        copy(in_plane<T>(x, y), at, n);
     }
+}
+
+/// Copies a tile's part of a map into a plane; pixels outside the image become zero.
+template <class T>
+void read_plane(const T* map, const Scene<T>& scene, const TileJob& tile, T* plane) {
+  if (tile.x0 + kTile > scene.width || tile.y0 + kTile > scene.height)
+    for (Index i = 0; i < kPlane; ++i) plane[i] = T(0);
+  for_runs(scene, tile, [&](Index to, Index from, Index n) {
+    for (Index i = 0; i < n; ++i) plane[to + i] = map[from + i];
+  });
 }
 template <class T>
 void write_plane(const T* plane, const Scene<T>& scene, const TileJob& tile, T* map) {
-  for (Index y = 0; y < kTile && tile.y0 + y < scene.height; ++y)
-    for (Index x = 0; x < kTile && tile.x0 + x < scene.width; ++x)
-      map[(tile.y0 + y) * scene.width + tile.x0 + x] = plane[in_plane<T>(x, y)];
+  for_runs(scene, tile, [&](Index from, Index to, Index n) {
+    for (Index i = 0; i < n; ++i) map[to + i] = plane[from + i];
+  });
 }
 /// One inside the image, zero outside.
 template <class T>
 void transmittance_plane(const Scene<T>& scene, const TileJob& tile, T* plane) {
-  for (Index y = 0; y < kTile; ++y)
-    for (Index x = 0; x < kTile; ++x)
-      plane[in_plane<T>(x, y)] =
-          tile.x0 + x < scene.width && tile.y0 + y < scene.height ? T(1) : T(0);
+  for (Index i = 0; i < kPlane; ++i) plane[i] = T(0);
+  for_runs(scene, tile, [&](Index to, Index, Index n) {
+    for (Index i = 0; i < n; ++i) plane[to + i] = T(1);
+  });
 }
 
 // ---- forward ------------------------------------------------------------------------------------
@@ -290,7 +306,7 @@ void start_backward(const Scene<T>& scene, const TileJob& tile, const T* maps, c
   const auto plane = [&](Index p) { return planes + p * kPlane; };
   const Index K = scene.aux_channels, HW = scene.height * scene.width;
   const auto upstream = [&](Index map, Index to) {
-    read_plane(g + map * HW, scene, tile, T(0), plane(to));
+    read_plane(g + map * HW, scene, tile, plane(to));
   };
   transmittance_plane(scene, tile, plane(kBackTransmittance));
   for (Index c = 0; c < 3; ++c) {
@@ -307,7 +323,7 @@ void start_backward(const Scene<T>& scene, const TileJob& tile, const T* maps, c
   T* behind = plane(kBehind);
   for (Index i = 0; i < kPlane; ++i) behind[i] = T(0);
   const auto add = [&](Index map, Index up) {
-    read_plane(maps + map * HW, scene, tile, T(0), value);
+    read_plane(maps + map * HW, scene, tile, value);
     for (Index b = 0; b < kBlocks<T>; ++b)
       store(xsimd::fma(load(plane(up), b), load(value, b), load(behind, b)), behind, b);
   };
@@ -321,8 +337,8 @@ void start_backward(const Scene<T>& scene, const TileJob& tile, const T* maps, c
   // height = sum(w h) / max(sum(w), floor): above the floor its derivative to a weight is
   // (h - height) / sum(w), which adds up to nothing over all surfels.
   alignas(64) T alpha[kPlane];
-  read_plane(maps + splat::kMapAlpha * HW, scene, tile, T(0), alpha);
-  read_plane(maps + splat::kMapHeight * HW, scene, tile, T(0), value);
+  read_plane(maps + splat::kMapAlpha * HW, scene, tile, alpha);
+  read_plane(maps + splat::kMapHeight * HW, scene, tile, value);
   const B floor(static_cast<T>(splat::kOpacityFloor)), zero(T(0));
   for (Index b = 0; b < kBlocks<T>; ++b) {
     const B a = load(alpha, b), h = load(value, b), up = load(plane(kUpHeight), b);
