@@ -2,6 +2,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/rpc/fit.h"
+#include "satsurf/rpc/read.h"
 
 #include <array>
 #include <cmath>
@@ -282,4 +283,26 @@ TEST_CASE("real cameras: residuals of the quadratic maps") {
   CHECK(rows[2].worst.transfer < 5e-2);
   CHECK(rows[1].worst.projection < 1e-3);
   CHECK(rows[2].worst.projection < 8e-3);
+}
+
+TEST_CASE(
+    "real cameras: the Pleiades images at hand are fitted to 1e-4 px at 1024 and 1e-3 px at 2048") {
+  const auto data = test::data_folder();
+  if (data.empty()) return;
+  for (const char* set : {"pleiades_triplet", "pleiades_pair"}) {
+    CAPTURE(set);
+    const Rpc a = *read_info(data / set / "img_01.tif").rpc,
+              b = *read_info(data / set / "img_02.tif").rpc;
+    for (const double size : {1024.0, 2048.0}) {
+      const double limit = size < 2000 ? 1e-4 : 1e-3;
+      std::array<Quadratic, 3> maps;
+      worst_errors(a, b, {512, 512}, size, a.height_off, 50, 4, &maps);
+      for (const Quadratic& map : maps) CHECK(map.rms < limit);
+      CHECK(maps[2].max < limit);  // projection
+      CHECK(maps[1].max < 4e-4);   // localisation, m
+      MESSAGE(set, " ", size, " px: transfer ", maps[0].rms, " / ", maps[0].max,
+              " px, localisation ", maps[1].rms, " / ", maps[1].max, " m, projection ", maps[2].rms,
+              " / ", maps[2].max, " px (rms / max)");
+    }
+  }
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/error.h"
+#include "satsurf/core/parallel.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
@@ -571,6 +572,23 @@ TEST_CASE("colours for the network") {
   for (const float v : to_rgb(image).values()) CHECK_FALSE(std::isnan(v));
   image.valid = Tensor({2, 2});
   CHECK_THROWS_AS(to_rgb(image), ShapeError);
+}
+
+TEST_CASE("colours are the same for any number of threads") {
+  Rng rng(8);
+  Image image;
+  image.info.dtype = "float32";
+  image.pixels = uniform_tensor<float>({3, 301, 257}, rng, -5, 900);
+  image.valid = uniform_tensor<float>({301, 257}, rng, 0, 2);
+  for (float& v : image.valid.values()) v = v < 0.2F ? 0.0F : 1.0F;
+  set_threads(1);
+  const Tensor one = to_rgb(image);
+  set_threads(2);
+  const Tensor two = to_rgb(image);
+  set_threads(0);
+  Index different = 0;
+  for (Index i = 0; i < one.count(); ++i) different += one[i] != two[i];
+  CHECK(different == 0);
 }
 
 TEST_CASE("real camera files: every dialect as GDAL reads it, and its transformer's projection") {
