@@ -1,1 +1,159 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/train/trainer.h"
+
+#include "satsurf/core/parallel.h"
+#include "satsurf/train/loss.h"
+#include "satsurf/train/simulate/scene.h"
+#include "tests/temp_folder.h"
+
+#include <cmath>
+#include <fstream>
+#include <iterator>
+
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::test;
+using namespace satsurf::train;
+
+namespace {
+
+std::string bytes_of(const std::filesystem::path& path) {
+  std::ifstream in(path, std::ios::binary);
+  REQUIRE(in.good());
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
+TrainConfig tiny(Index steps) {
+  TrainConfig c = TrainConfig();
+  c.preset = "tiny";
+  c.model = nn::model_preset("tiny");
+  c.steps = steps;
+  c.crop = 32;
+  c.lr = 3e-3;
+  return c;
+}
+
+/// Two small scenes on disk, made once.
+const std::filesystem::path& data() {
+  static const TempFolder folder("trainer-1");
+  static const bool made = [] {
+    SimulateConfig c = SimulateConfig();
+    c.pixels = 64;
+    c.views = 4;
+    c.gsd = 0.5;
+    for (Index i = 0; i < 2; ++i) write_scene(simulate_scene(c, 21, i), folder.path(), "SIM_00" + std::to_string(i + 1));
+    return true;
+  }();
+  REQUIRE(made);
+  return folder.path();
+}
+
+StepCallback stop_after(Index step) {
+  return [step](const StepReport& r) { return r.step < step; };
+}
+
+}  // namespace
+
+TEST_CASE("five steps, resume and five more are ten steps, byte for byte") {
+  const TempFolder folder("trainer-2");
+  train::train(tiny(10), data(), folder.path() / "whole", 4, false, {});
+  train::train(tiny(10), data(), folder.path() / "parts", 4, false, stop_after(5));
+  CHECK(bytes_of(folder.path() / "parts" / "checkpoint.safetensors") !=
+        bytes_of(folder.path() / "whole" / "checkpoint.safetensors"));
+  train::train(tiny(10), data(), folder.path() / "parts", 4, true, {});
+  CHECK(bytes_of(folder.path() / "parts" / "checkpoint.safetensors") ==
+        bytes_of(folder.path() / "whole" / "checkpoint.safetensors"));
+  CHECK(bytes_of(folder.path() / "parts" / "weights.safetensors") ==
+        bytes_of(folder.path() / "whole" / "weights.safetensors"));
+  std::ifstream journal(folder.path() / "parts" / "train.jsonl");
+  Index lines = 0;
+  for (std::string line; std::getline(journal, line);) ++lines;
+  CHECK(lines == 10);
+}
+
+TEST_CASE("one and two threads train the same bytes") {
+  const TempFolder folder("trainer-3");
+  for (const int n : {1, 2}) {
+    set_threads(n);
+    train::train(tiny(3), data(), folder.path() / std::to_string(n), 4, false, {});
+  }
+  set_threads(0);
+  CHECK(bytes_of(folder.path() / "1" / "checkpoint.safetensors") ==
+        bytes_of(folder.path() / "2" / "checkpoint.safetensors"));
+}
+
+TEST_CASE("training lowers the error on samples it has not seen") {
+  const TempFolder folder("trainer-3");
+  std::vector<Scene> scenes;
+  for (const std::string& name : list_scenes(data())) scenes.push_back(load_scene(data(), name));
+  const TrainConfig config = tiny(80);
+  const auto error = [&](const nn::Model& model) {
+    const NoGrad no_grad;
+    double sum = 0;
+    for (Index k = 0; k < 12; ++k) {
+      const Crop crop = training_sample(config, scenes, 99, k);
+      sum += training_loss(config, model.forward(crop.input), crop).height_mae / 12;
+    }
+    return sum;
+  };
+  train::train(config, data(), folder.path(), 1, false, {});
+  const double before = error(nn::Model(config.model, 1)),
+               after = error(load_model(folder.path() / "weights.safetensors"));
+  CAPTURE(before);
+  CHECK(after < 0.85 * before);
+}
+
+TEST_CASE("a model comes back from its file, configuration included") {
+  const TempFolder folder("trainer-5");
+  const nn::Model model(nn::model_preset("tiny"), 9);
+  save_model(folder.path() / "m.safetensors", model);
+  const nn::Model loaded = load_model(folder.path() / "m.safetensors");
+  CHECK(loaded.config() == model.config());
+  for (std::size_t k = 0; k < model.parameters().entries().size(); ++k) {
+    const Tensor &a = model.parameters().entries()[k].var.value(), &b = loaded.parameters().entries()[k].var.value();
+    REQUIRE(std::equal(a.values().begin(), a.values().end(), b.data()));
+  }
+  save_safetensors(folder.path() / "other.safetensors", TensorFile());
+  CHECK_THROWS_WITH_AS(load_model(folder.path() / "other.safetensors"),
+                       ((folder.path() / "other.safetensors").string() +
+                        ": not a satsurf model, expected metadata format = satsurf-1 and its configuration")
+                           .c_str(),
+                       IoError);
+}
+
+TEST_CASE("samples are a function of seed and step, and loss terms of their switches") {
+  std::vector<Scene> scenes;
+  for (const std::string& name : list_scenes(data())) scenes.push_back(load_scene(data(), name));
+  TrainConfig config = tiny(1);
+  const Crop a = training_sample(config, scenes, 7, 3), b = training_sample(config, scenes, 7, 3),
+             c = training_sample(config, scenes, 7, 4);
+  const auto pixels = [](const Crop& crop) {
+    const auto v = crop.input.sources[0].rgb.values();
+    return std::vector<float>(v.begin(), v.end());
+  };
+  CHECK(pixels(a) == pixels(b));
+  CHECK(pixels(a) != pixels(c));
+  const nn::Model model(config.model, 1);
+  const auto stages = model.forward(a.input);
+  const double all = static_cast<double>(training_loss(config, stages, a).total.value().item());
+  config.colour_weight = 0;
+  const double no_colour = static_cast<double>(training_loss(config, stages, a).total.value().item());
+  config.render_height_weight = 0;
+  const double heights = static_cast<double>(training_loss(config, stages, a).total.value().item());
+  CHECK(all > no_colour);
+  CHECK(no_colour > heights);
+  config.height_weight = 2;
+  CHECK(static_cast<double>(training_loss(config, stages, a).total.value().item()) == doctest::Approx(2 * heights));
+}
+
+TEST_CASE("resuming with another configuration or seed is refused") {
+  const TempFolder folder("trainer-6");
+  train::train(tiny(1), data(), folder.path(), 4, false, {});
+  CHECK_THROWS_AS(train::train(tiny(2), data(), folder.path(), 4, true, {}), ConfigError);
+  CHECK_THROWS_AS(train::train(tiny(1), data(), folder.path(), 5, true, {}), ConfigError);
+  TrainConfig odd = tiny(1);
+  odd.crop = 40;
+  CHECK_THROWS_WITH_AS(train::train(odd, data(), folder.path(), 4, false, {}),
+                       "train: crop is 40, expected a multiple of 16", ConfigError);
+}

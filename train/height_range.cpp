@@ -12,6 +12,8 @@ namespace {
 constexpr Index kCoarse = 256;        // px, side of the images of the sweep
 constexpr Index kRadius = 3;          // px, half a correlation window
 constexpr double kAgreement = 0.75;   // correlation from which a match counts
+constexpr double kUnique = 0.1;       // by which the best height must beat every other peak
+constexpr Index kNeighbours = 5;      // of eight, that must have found nearly the same height
 constexpr double kMargin = 15;        // m, added to the percentiles: roofs and gullies smaller than a coarse window
 constexpr Index kFewest = 100;        // matches that make a range believable
 
@@ -110,7 +112,8 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
   const Index steps = std::clamp<Index>(static_cast<Index>(span * parallax / kStepPx) + 1, 8, 2000);
 
   const Index P = coarse[0].grey.count();
-  Tensor best({P}, -1.f), where({P}, 0.f);
+  Tensor best({P}, -1.f), rival({P}, -1.f), where({P}, 0.f);
+  const double peak = 3 * span / static_cast<double>(steps);  // heights this close belong to one peak
   // Pieces of rows would need the box sums' neighbours: parallel over heights instead, merged in order.
   constexpr Index kBatch = 16;
   for (Index first = 0; first < steps; first += kBatch) {
@@ -131,15 +134,29 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
       score[static_cast<std::size_t>(k)] = sum;
     });
     for (Index k = 0; k < batch; ++k)
-      for (Index i = 0; i < P; ++i)
-        if (score[static_cast<std::size_t>(k)][i] > best[i]) {
-          best[i] = score[static_cast<std::size_t>(k)][i];
-          where[i] = static_cast<float>(height(k));
+      for (Index i = 0; i < P; ++i) {
+        const float s = score[static_cast<std::size_t>(k)][i], z = static_cast<float>(height(k));
+        const bool same_peak = std::abs(z - where[i]) <= peak;
+        if (s > best[i]) {
+          if (!same_peak) rival[i] = best[i];
+          best[i] = s;
+          where[i] = z;
+        } else if (!same_peak && s > rival[i]) {
+          rival[i] = s;
         }
+      }
   }
+  const Index H = coarse[0].grey.dim(0), W = coarse[0].grey.dim(1);
   std::vector<float> heights;
-  for (Index i = 0; i < P; ++i)
-    if (best[i] >= kAgreement) heights.push_back(where[i]);
+  for (Index y = 1; y + 1 < H; ++y)
+    for (Index x = 1; x + 1 < W; ++x) {
+      const Index i = y * W + x;
+      if (best[i] < kAgreement || best[i] - rival[i] < kUnique) continue;
+      Index alike = -1;  // not the window itself
+      for (Index dy = -1; dy <= 1; ++dy)
+        for (Index dx = -1; dx <= 1; ++dx) alike += std::abs(where[i + dy * W + dx] - where[i]) <= peak ? 1 : 0;
+      if (alike >= kNeighbours) heights.push_back(where[i]);
+    }
   if (static_cast<Index>(heights.size()) < kFewest)
     throw Error("height range: only " + std::to_string(heights.size()) + " windows of the images agree anywhere between " +
                 std::to_string(z_low + scene.frame.h0) + " and " + std::to_string(z_high + scene.frame.h0) +

@@ -92,20 +92,27 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
     const auto N = static_cast<std::size_t>(config.views);
     const std::vector<Index> sources(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(N));
 
+    // Around a random pixel of the first source, far enough inside for the window where the image is large enough.
     const HeightField& truth = *scene.truth;
-    const double reach = 0.5 * static_cast<double>(std::min(truth.z.dim(0), truth.z.dim(1))) * truth.step;
-    const double gsd = 0.5 * truth.step;  // a lower bound is enough to keep the window on the grid
-    const double inner = std::max(0.0, reach - static_cast<double>(config.crop) * gsd);
-    const double x = truth.x0 + 0.5 * static_cast<double>(truth.z.dim(1)) * truth.step + rng.uniform(-inner, inner);
-    const double y = truth.y0 - 0.5 * static_cast<double>(truth.z.dim(0)) * truth.step + rng.uniform(-inner, inner);
+    const SceneView& first = scene.views[static_cast<std::size_t>(sources[0])];
+    const auto inner = [&](Index extent) {
+      const double half = 0.5 * static_cast<double>(std::min(config.crop, extent));
+      return rng.uniform(half - 0.5, std::max(half, static_cast<double>(extent) - half) - 0.5);
+    };
+    const double px = inner(first.rgb.dim(2)), py = inner(first.rgb.dim(1));
+    double x = 0, y = 0, z = 0.5 * (scene.z_low + scene.z_high);
+    for (int pass = 0; pass < 2; ++pass) {  // at the middle of the range first, then near the surface found there
+      const auto p = scene.frame.local_from_geodetic(first.rpc.localize({px, py}, z + scene.frame.h0));
+      x = p[0];
+      y = p[1];
+      const Index row = std::clamp<Index>(static_cast<Index>((truth.y0 - y) / truth.step), 0, truth.z.dim(0) - 1),
+                  col = std::clamp<Index>(static_cast<Index>((x - truth.x0) / truth.step), 0, truth.z.dim(1) - 1);
+      if (const float t = truth.z[row * truth.z.dim(1) + col]; std::isfinite(t)) z = static_cast<double>(t);
+    }
     const double span = scene.z_high - scene.z_low;
     const double low = scene.z_low - rng.uniform(0, config.range_jitter) * span,
                  high = scene.z_high + rng.uniform(0, config.range_jitter) * span;
-    const Index row = std::clamp<Index>(static_cast<Index>((truth.y0 - y) / truth.step), 0, truth.z.dim(0) - 1),
-                col = std::clamp<Index>(static_cast<Index>((x - truth.x0) / truth.step), 0, truth.z.dim(1) - 1);
-    const float z = truth.z[row * truth.z.dim(1) + col];
-    crop = make_crop(scene, sources, order[N], x, y, std::isfinite(z) ? static_cast<double>(z) : 0.0, config.crop, low,
-                     high, true);
+    crop = make_crop(scene, sources, order[N], x, y, z, config.crop, low, high, true);
     Index known = 0, all = 0;
     for (std::size_t i = 0; i < N; ++i)
       for (Index p = 0; p < config.crop * config.crop; ++p, ++all) {
@@ -137,6 +144,7 @@ void train(const TrainConfig& config, const fs::path& data, const fs::path& out,
   nn::Model model(config.model, seed);
   nn::AdamW optimiser(model.parameters(), {.weight_decay = config.weight_decay});
   Index step = 0;
+  if (!config.init.empty() && !resume) model.parameters().load(load_safetensors(config.init), "model.", config.init);
   if (resume) {
     const TensorFile file = load_safetensors(checkpoint);
     const auto saved = file.metadata.find("train"), saved_seed = file.metadata.find("seed");

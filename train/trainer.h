@@ -15,6 +15,7 @@ namespace satsurf::train {
 struct TrainConfig {
   std::string preset = "base8";  ///< starting point of `model`
   nn::ModelConfig model;
+  std::string init;              ///< weights file to start from, or empty for random weights
   Index steps = 4000;
   Index views = 3;               ///< source views per sample; one more is the target
   Index crop = 128;              ///< window side, px
@@ -36,6 +37,7 @@ struct TrainConfig {
   static void fields(Self& s, V&& v) {
     v("preset", s.preset, Field{.help = "model preset the model fields start from", .choices = {"tiny", "base8", "base16"}});
     v("model", s.model, Field{.help = "network"});
+    v("init", s.init, Field{.help = "weights to start from instead of random ones"});
     v("steps", s.steps, Field{.help = "optimiser steps", .min = 1});
     v("views", s.views, Field{.help = "source views per sample", .min = 2, .max = 8});
     v("crop", s.crop, Field{.help = "side of the training windows", .unit = "px", .min = 8});
