@@ -10,8 +10,8 @@
 namespace satsurf::train {
 namespace {
 
-constexpr Index kWholeImage = 1024;  // px; larger images are cut into tiles
-constexpr Index kTile = 512;         // px; keeps the network's volumes near 0.5 GB
+constexpr Index kWholeImage = 1280;  // px; larger images are cut into tiles
+constexpr Index kTile = 768;         // px; keeps the largest volume near 0.3 GB
 constexpr float kOpaque = 0.5f;      // accumulated opacity from which a cell counts as seen
 
 /// A rectangle of ground, local m.

@@ -13,7 +13,7 @@ namespace satsurf::train {
 
 struct ReconstructOptions {
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
-  Index tile = 0;         ///< window side, px; 0: the whole image up to 1024, else overlapping tiles of 512
+  Index tile = 0;         ///< window side, px; 0: the whole image up to 1280, else overlapping tiles of 768
   std::function<void(const std::string& stage, double fraction)> progress;  ///< may be empty
 };
 
