@@ -287,6 +287,16 @@ int run_program(int argc, char** argv) {
   add_reconstruct(app, common, run);
   add_evaluate(app, common, run);
   add_render(app, common, run);
+  std::string names;
+  bool known = argc < 2 || argv[1][0] == '-';
+  for (const CLI::App* c : app.get_subcommands([](CLI::App*) { return true; })) {
+    names += (names.empty() ? "" : ", ") + c->get_name();
+    known = known || c->get_name() == argv[1];
+  }
+  if (!known) {
+    complain(std::string("unknown command ") + argv[1] + ", wanted one of " + names);
+    return kUsage;
+  }
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& e) {

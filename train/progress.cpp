@@ -49,7 +49,8 @@ std::string progress_line(const std::string& stage, double fraction, const std::
   return line.substr(0, static_cast<std::size_t>(std::max(columns, 1)));
 }
 
-Progress::Progress(bool quiet) : quiet_(quiet), terminal_(isatty(STDERR_FILENO) == 1) {}
+Progress::Progress(bool quiet)
+    : quiet_(quiet), terminal_(isatty(STDERR_FILENO) == 1), last_(Clock::now()) {}
 
 Progress::~Progress() {
   if (drawn_) std::fputc('\n', stderr);
@@ -62,10 +63,10 @@ void Progress::update(const std::string& stage, double fraction, const std::stri
   if (new_stage) {
     if (drawn_) std::fputc('\n', stderr);
     drawn_ = false, stage_ = stage, stage_start_ = now;
-  } else if (seconds_between(last_, now) < (terminal_ ? kDrawEvery : kLineEvery) &&
-             (fraction < 1 || !terminal_)) {
-    return;
   }
+  // a log gets lines only from work that takes a while
+  const bool due = seconds_between(last_, now) >= (terminal_ ? kDrawEvery : kLineEvery);
+  if (!due && !(terminal_ && (new_stage || fraction >= 1))) return;
   last_ = now;
   const double seconds = seconds_between(stage_start_, now);
   if (terminal_) {

@@ -42,16 +42,15 @@ std::string view_name(const fs::path& file, const std::vector<SceneView>& taken)
   return name;
 }
 
-/// Overlap of the heights the cameras were made for.
+/// Overlap of the heights the cameras were made for; not a range (low >= high) where they share
+/// none.
 rpc::HeightRange camera_range(const std::vector<SceneView>& views) {
   rpc::HeightRange all{-INFINITY, INFINITY};
   for (const SceneView& v : views) {
     all.low = std::max(all.low, v.rpc.height_off - std::abs(v.rpc.height_scale));
     all.high = std::min(all.high, v.rpc.height_off + std::abs(v.rpc.height_scale));
   }
-  if (all.low < all.high) return all;
-  throw Error(
-      "reconstruct: the cameras share no range of heights, wanted one; give --height-range");
+  return all;
 }
 
 }  // namespace
@@ -168,11 +167,15 @@ UserScene scene_from_views(const std::vector<fs::path>& files,
     out.range = {*named, "from the images' metadata"};
   else
     out.range = {camera_range(scene.views), "of the cameras"};
-  const double middle = (out.range.range.low + out.range.range.high) / 2;
+  const bool usable = out.range.range.low < out.range.range.high;
+  const double middle =
+      usable ? (out.range.range.low + out.range.range.high) / 2 : scene.views[0].rpc.height_off;
+  const auto height_of = [&](const SceneView& v) { return usable ? middle : v.rpc.height_off; };
 
   const auto centre_of = [&](const SceneView& v) {
     return v.rpc.localize(
-        {static_cast<double>(v.rgb.dim(2)) / 2, static_cast<double>(v.rgb.dim(1)) / 2}, middle);
+        {static_cast<double>(v.rgb.dim(2)) / 2, static_cast<double>(v.rgb.dim(1)) / 2},
+        height_of(v));
   };
   const rpc::Geodetic centre = centre_of(scene.views[0]);
   scene.frame.zone = rpc::utm_zone_of(centre.lon, centre.lat);
@@ -186,7 +189,8 @@ UserScene scene_from_views(const std::vector<fs::path>& files,
       throw Error("reconstruct: " + files[0].string() + " and " + files[i].string() +
                   " do not overlap on the ground, wanted images of one place");
     ground.push_back(footprint(scene.views[i].rpc, scene.views[i].rgb.dim(2),
-                               scene.views[i].rgb.dim(1), scene.frame.zone, middle));
+                               scene.views[i].rgb.dim(1), scene.frame.zone,
+                               height_of(scene.views[i])));
   }
   Polygon common = ground[0];
   for (std::size_t i = 0; i < files.size(); ++i) {
@@ -203,6 +207,10 @@ UserScene scene_from_views(const std::vector<fs::path>& files,
   out.common_area = common.empty() ? 0 : polygon_area(common);
   const auto origin = polygon_centroid(common.empty() ? ground[0] : common);
   scene.frame.easting0 = std::round(origin[0]), scene.frame.northing0 = std::round(origin[1]);
+  if (!usable)  // told after the overlap: images of two places seldom share a range either
+    throw Error("reconstruct: " + files[0].string() +
+                " and the others: cameras for different heights, wanted a range "
+                "they share; give --height-range");
   scene.frame.h0 = std::round(middle);
   scene.name = scene.views[0].name;
 

@@ -1,0 +1,237 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Drives the satsurf program as a user would: the whole path on tiny made-up data, then every kind of bad input.
+#   run.sh PROGRAM
+set -uo pipefail
+satsurf=$(realpath "$1")
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+cd "$work" || exit 1
+unset SATSURF_WEIGHTS
+checks=0 failures=0
+
+fail() {
+  failures=$((failures + 1))
+  echo "FAIL: $*"
+  sed 's/^/  | /' stderr | head -n 5
+}
+
+# succeeds NAME COMMAND...: exit code 0
+succeeds() {
+  checks=$((checks + 1))
+  local name=$1 code
+  shift
+  "$@" >stdout 2>stderr
+  code=$?
+  [ "$code" -eq 0 ] || fail "$name: exit code $code, expected 0"
+}
+
+# refuses NAME CODE PATTERN COMMAND...: that exit code, one line on stderr that matches, nothing on stdout, and no
+# file made, changed or left behind
+refuses() {
+  checks=$((checks + 1))
+  local name=$1 expected=$2 pattern=$3 code before after
+  shift 3
+  before=$(listing)
+  "$@" >stdout 2>stderr
+  code=$?
+  after=$(listing)
+  [ "$code" -eq "$expected" ] || fail "$name: exit code $code, expected $expected"
+  [ "$(wc -l <stderr)" -eq 1 ] || fail "$name: $(wc -l <stderr) lines on stderr, expected 1"
+  grep -q '^satsurf: ' stderr || fail "$name: the line does not begin with the program's name"
+  grep -qE -- "$pattern" stderr || fail "$name: no match for '$pattern'"
+  [ ! -s stdout ] || fail "$name: something on stdout"
+  [ "$before" = "$after" ] || fail "$name: files were made, changed or left behind: $(diff <(echo "$before") <(echo "$after") | grep '^[<>]' | head -n 2)"
+}
+listing() { find . -not -name stdout -not -name stderr -not -path . -printf '%p %s %T@\n' | sort; }
+
+# holds NAME COMMAND...: the command says yes
+holds() {
+  checks=$((checks + 1))
+  local name=$1
+  shift
+  : >stderr
+  "$@" >/dev/null 2>stderr || fail "$name"
+}
+
+# --- the whole path ------------------------------------------------------------------------------------------------
+succeeds "simulate" "$satsurf" simulate --out data --scenes 2 --views 4 --pixels 96 --seed 5 --quiet
+succeeds "simulate again" "$satsurf" simulate --out again --scenes 2 --views 4 --pixels 96 --seed 5 --quiet --threads 1
+holds "same seed, same images" diff -r -x run.json data again
+rm -rf again
+images=(data/Track3-RGB/SIM_001_00{1,2,3}_RGB.tif)
+truth=data/Track3-Truth/SIM_001_DSM.tif
+
+succeeds "info" "$satsurf" info "${images[@]}"
+holds "info names the camera's source" grep -q "RPC (TIFF tag)" stdout
+holds "info tells overlap and parallax" grep -qE "overlap [0-9.]+ %, parallax [0-9.]+ px/m" stdout
+
+tiny=(--preset tiny --crop 32 --steps 24 --checkpoint_every 4 --seed 9 --quiet)
+succeeds "train" "$satsurf" train --data data --out whole "${tiny[@]}"
+holds "one line per step" test "$(wc -l <whole/train.jsonl)" -eq 24
+# The same run, stopped by Ctrl-C on the way and resumed on another number of threads.
+"$satsurf" train --data data --out parts "${tiny[@]}" --threads 1 >stdout 2>stderr &
+job=$!
+for _ in $(seq 600); do
+  [ "$(cat parts/train.jsonl 2>/dev/null | wc -l)" -ge 3 ] && break
+  sleep 0.05
+done
+kill -INT "$job" 2>/dev/null
+wait "$job"
+code=$?
+checks=$((checks + 1))
+[ "$code" -eq 130 ] || fail "Ctrl-C: exit code $code, expected 130"
+holds "Ctrl-C stopped the run early" test "$(wc -l <parts/train.jsonl)" -lt 24
+succeeds "resume" "$satsurf" train --data data --out parts "${tiny[@]}" --resume --threads 2
+holds "resumed weights are those of the uninterrupted run" cmp whole/weights.safetensors parts/weights.safetensors
+holds "resumed checkpoint is that of the uninterrupted run" cmp whole/checkpoint.safetensors parts/checkpoint.safetensors
+weights=whole/weights.safetensors
+
+succeeds "reconstruct" "$satsurf" reconstruct "${images[@]}" --out out --weights $weights --quiet
+for file in dsm.tif confidence.tif surfels.ply run.json height.png hillshade.png confidence.png \
+  views/SIM_001_001_RGB_render.png views/SIM_001_003_RGB_source.png; do
+  holds "reconstruct writes $file" test -s "out/$file"
+done
+succeeds "reconstruct on one thread" "$satsurf" reconstruct "${images[@]}" --out one --weights $weights --threads 1 --quiet
+holds "threads do not change a byte" diff -r -x run.json out one
+succeeds "weights from the environment" env SATSURF_WEIGHTS=$weights "$satsurf" reconstruct "${images[@]}" --out one --overwrite --quiet
+holds "overwriting gives the same" diff -r -x run.json out one
+
+succeeds "evaluate a surface" "$satsurf" evaluate --dsm out/dsm.tif --truth $truth --register xyz \
+  --seen-by "${images[@]}" --json scores.json --error-map error.png
+holds "it prints the error" grep -qE "registered +MAE +[0-9.]+ m" stdout
+holds "it records the error" grep -q '"mae"' scores.json
+succeeds "evaluate the truth" "$satsurf" evaluate --dsm $truth --truth $truth
+holds "the truth is right" grep -qE "raw +MAE +0.000 m" stdout
+succeeds "evaluate a data set" "$satsurf" evaluate --data data --weights $weights --json all.json --csv all.csv --quiet
+holds "one row per scene, a heading and the mean" test "$(wc -l <all.csv)" -eq 4
+succeeds "render from above" "$satsurf" render --surfels out/surfels.ply --nadir --out above.png
+succeeds "render heights" "$satsurf" render --surfels out/surfels.ply --nadir --out above.tif
+succeeds "render a view" "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --out view.tif
+succeeds "a rendered view has a camera" "$satsurf" info view.tif
+holds "namely the image's" grep -q "RPC (TIFF tag)" stdout
+
+# --- configuration: flags over file over defaults --------------------------------------------------------------------
+echo '{"steps": 7, "lr": 0.5, "preset": "tiny"}' >config.json
+succeeds "print-config" "$satsurf" train --config config.json --lr 0.25 --print-config
+holds "the file beats the default" grep -q '"steps": 7' stdout
+holds "the flag beats the file" grep -q '"lr": 0.25' stdout
+succeeds "a run's record is a configuration" "$satsurf" train --config whole/run.json --print-config
+holds "with its values" grep -q '"crop": 32' stdout
+echo '{"stepz": 7}' >typo.json
+refuses "unknown key" 2 "typo.json.*stepz.*steps" "$satsurf" train --config typo.json --data data --out no
+echo '{"steps": ' >broken.json
+refuses "malformed configuration" 1 "broken.json" "$satsurf" train --config broken.json --data data --out no
+
+# --- wrong usage: exit code 2 ----------------------------------------------------------------------------------------
+refuses "no command" 2 "--help" "$satsurf"
+refuses "unknown command" 2 "paint" "$satsurf" paint
+refuses "unknown flag" 2 "--colour" "$satsurf" info "${images[0]}" --colour
+refuses "a number out of range" 2 "lr.*2" "$satsurf" train --data data --out no --lr 2
+refuses "no number" 2 "steps.*many" "$satsurf" train --data data --out no --steps many
+refuses "unknown preset" 2 "huge.*base8" "$satsurf" train --data data --out no --preset huge
+refuses "crop that does not fit" 2 "crop" "$satsurf" train --data data --out no --preset tiny --crop 33
+refuses "heights the wrong way round" 2 "height-range" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 50 10
+refuses "unknown registration" 2 "xy.*none, z or xyz" "$satsurf" evaluate --dsm $truth --truth $truth --register xy
+refuses "no output folder" 2 "--out" "$satsurf" reconstruct "${images[@]}" --weights $weights
+
+# --- bad input: exit code 1, the file is named -----------------------------------------------------------------------
+reconstruct() { "$satsurf" reconstruct "$@" --quiet; }
+good=("${images[0]}" "${images[1]}")
+
+echo "this is not an image" >text.tif
+refuses "not a TIFF" 1 "text.tif" reconstruct "${good[0]}" text.tif --out no --weights $weights
+refuses "info of what is not a TIFF" 1 "text.tif" "$satsurf" info text.tif
+head -c 3000 "${images[2]}" >short.tif
+refuses "truncated TIFF" 1 "short.tif" reconstruct "${good[0]}" short.tif --out no --weights $weights
+: >empty.tif
+refuses "empty file" 1 "empty.tif" reconstruct "${good[0]}" empty.tif --out no --weights $weights
+refuses "no RPC" 1 "dsm.tif.*RPC" reconstruct "${good[0]}" out/dsm.tif --out no --weights $weights
+refuses "missing image" 1 "nowhere.tif" reconstruct "${good[0]}" nowhere.tif --out no --weights $weights
+refuses "no overlap" 1 "SIM_001_001_RGB.tif and .*SIM_002_001_RGB.tif do not overlap" \
+  reconstruct "${good[0]}" data/Track3-RGB/SIM_002_001_RGB.tif --out no --weights $weights
+refuses "one image" 1 "1 image, wanted two or more" reconstruct "${good[0]}" --out no --weights $weights
+refuses "existing output folder" 1 "out .*--overwrite" reconstruct "${good[@]}" --out out --weights $weights
+refuses "output is a file" 1 "above.png" reconstruct "${good[@]}" --out above.png --weights $weights
+refuses "existing output file" 1 "above.png.*--overwrite" "$satsurf" render --surfels out/surfels.ply --nadir --out above.png
+
+# Text rasters with a camera in a Sat-NeRF JSON: easy to spoil in known ways. A camera looks north or south of
+# straight down by $2 and has 64 x 64 pixels of 0.5 m.
+view() { # NAME SLANT
+  cat >"$1.json" <<JSON
+{"img": "$1.asc", "width": 64, "height": 64, "min_alt": 0, "max_alt": 40, "sun_elevation": "+50.8",
+ "sun_azimuth": "+150", "acquisition_date": "20200101", "geojson": {},
+ "rpc": {"row_offset": 31.5, "col_offset": 31.5, "lat_offset": 10, "lon_offset": 20, "alt_offset": 20,
+  "row_scale": 32, "col_scale": 32, "lat_scale": 1.446e-4, "lon_scale": 1.459e-4, "alt_scale": 100,
+  "row_num": [0, 0, -1, $2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0],
+  "row_den": [1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0],
+  "col_num": [0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0],
+  "col_den": [1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]}}
+JSON
+}
+raster() { # NAME WHAT: texture, holes (texture with NaN and nodata), nodata or nan
+  awk -v what="$2" 'BEGIN {
+    print "ncols 64\nnrows 64\nxllcorner 0\nyllcorner 0\ncellsize 1\nNODATA_value -1"
+    for (i = 0; i < 64; i++) for (j = 0; j < 64; j++) {
+      v = int(100 + 60 * sin(i / 3) * cos(j / 2.3) + (i * 37 + j * 61) % 29) + 0.5
+      if (what == "nodata" || (what == "holes" && i > 50)) v = -1
+      if (what == "nan" || (what == "holes" && j > 50)) v = "nan"
+      printf "%s%s", v, j < 63 ? " " : "\n"
+    } }' >"$1.asc"
+}
+view a 0.9 && raster a texture
+view b -0.9 && raster b holes
+view c -0.9 && raster c nodata
+view d -0.9 && raster d nan
+succeeds "NaN and nodata pixels are left out" reconstruct a.json b.json --out holes --weights $weights
+holds "the surface is there" test -s holes/dsm.tif
+refuses "all nodata" 1 "c.asc" reconstruct a.json c.json --out no --weights $weights
+refuses "all NaN" 1 "d.asc" reconstruct a.json d.json --out no --weights $weights
+sed 's/"row_num"/"row_nums"/' b.json >key.json
+refuses "JSON with a wrong key" 1 "key.json.*row_num" reconstruct a.json key.json --out no --weights $weights
+sed 's/"b.asc"/"lost.asc"/' b.json >lost.json
+refuses "JSON whose image is missing" 1 "lost.asc" reconstruct a.json lost.json --out no --weights $weights
+mkdir elsewhere && mv b.asc elsewhere/
+succeeds "JSON whose image is elsewhere" reconstruct a.json b.json --image-dir elsewhere --out found --weights $weights
+head -c 100 b.json >cut.json
+refuses "truncated JSON" 1 "cut.json" reconstruct a.json cut.json --out no --weights $weights
+
+refuses "missing weights" 1 "gone.safetensors" reconstruct "${good[@]}" --out no --weights gone.safetensors
+head -c 2000 $weights >short.safetensors
+refuses "truncated weights" 1 "short.safetensors" reconstruct "${good[@]}" --out no --weights short.safetensors
+head -c 100000 $weights >cut.safetensors
+refuses "weights cut in the data" 1 "cut.safetensors" reconstruct "${good[@]}" --out no --weights cut.safetensors
+hostile() { # NAME LENGTH-BYTES HEADER
+  printf '%b%s' "$2" "$3" >"$1.safetensors"
+}
+hostile huge '\xff\xff\xff\xff\xff\xff\xff\x7f' '{}'
+hostile wrap '\x42\x00\x00\x00\x00\x00\x00\x00' \
+  '{"a":{"dtype":"F32","shape":[4611686018427387905],"data_offsets":[0,4]}}'
+hostile back '\x2f\x00\x00\x00\x00\x00\x00\x00' '{"a":{"dtype":"F32","shape":[1],"data_offsets":[4,0]}}'
+hostile deep '\x40\x00\x00\x00\x00\x00\x00\x00' "$(printf '[%.0s' $(seq 64))"
+hostile plain '\x02\x00\x00\x00\x00\x00\x00\x00' '{}'
+for name in huge wrap back deep plain; do
+  refuses "hostile weights ($name)" 1 "$name.safetensors" reconstruct "${good[@]}" --out no --weights $name.safetensors
+done
+refuses "weights that are none" 1 "text.tif" reconstruct "${good[@]}" --out no --weights text.tif
+cp "$satsurf" here # no weights beside it
+refuses "no weights at all" 1 "weights: none found.*--weights" ./here reconstruct "${good[@]}" --out no
+rm here
+
+refuses "missing data folder" 1 "nowhere" "$satsurf" train --data nowhere --out no "${tiny[@]}"
+mkdir hollow
+refuses "folder without scenes" 1 "hollow" "$satsurf" train --data hollow --out no "${tiny[@]}"
+refuses "training into a used folder" 1 "whole .*--overwrite" "$satsurf" train --data data --out whole "${tiny[@]}"
+refuses "resume with another configuration" 2 "checkpoint.safetensors" "$satsurf" train --data data --out whole "${tiny[@]}" --resume --lr 0.1
+refuses "resume without a checkpoint" 1 "checkpoint.safetensors" "$satsurf" train --data data --out no "${tiny[@]}" --resume
+mkdir -p bare/Track3-RGB && cp data/Track3-RGB/SIM_001* bare/Track3-RGB/
+refuses "training without truth" 1 "SIM_001.*_DSM.tif" "$satsurf" train --data bare --out no "${tiny[@]}"
+refuses "evaluating without truth" 1 "SIM_001_DSM.tif" "$satsurf" evaluate --data bare --weights $weights --quiet
+refuses "missing truth" 1 "gone.tif" "$satsurf" evaluate --dsm out/dsm.tif --truth gone.tif
+refuses "truth of another place" 1 "SIM_002_DSM.tif" "$satsurf" evaluate --dsm out/dsm.tif --truth data/Track3-Truth/SIM_002_DSM.tif
+head -c 500 out/surfels.ply >short.ply
+refuses "truncated surfels" 1 "short.ply" "$satsurf" render --surfels short.ply --nadir --out no.png
+refuses "surfels that are none" 1 "text.tif" "$satsurf" render --surfels text.tif --nadir --out no.png
+
+echo "$checks checks, $failures failed"
+[ "$failures" -eq 0 ]
