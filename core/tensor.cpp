@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/tensor.h"
 
+#include "satsurf/core/parallel.h"
+
 #include <algorithm>
 #include <atomic>
 #include <cstdlib>
@@ -166,7 +168,10 @@ BasicTensor<T> BasicTensor<T>::slice0(Index i) const {
 
 template <class T>
 void BasicTensor<T>::fill(T value) {
-  std::fill_n(data(), count(), value);
+  constexpr Index kPiece = 1 << 16;  // one thread alone does not reach the memory's bandwidth
+  T* to = data();
+  for_range(count(), kPiece,
+            [to, value](Index begin, Index end) { std::fill(to + begin, to + end, value); });
 }
 
 template class BasicTensor<float>;

@@ -101,7 +101,13 @@ void BasicVar<T>::backward(const BasicTensor<T>& seed) const {
             [](const auto& a, const auto& b) { return a->order < b->order; });
 
   if (node_->grad.empty()) node_->grad = BasicTensor<T>(shape());
-  for (Index i = 0; i < count(); ++i) node_->grad[i] += seed.empty() ? T(1) : seed[i];
+  T* grad = node_->grad.data();
+  const Index n = count();
+  if (seed.empty()) {
+    grad[0] += T(1);
+  } else {
+    for (Index i = 0; i < n; ++i) grad[i] += seed[i];
+  }
   while (!tape.empty()) {
     const std::shared_ptr<Node<T>> node = std::move(tape.back());
     tape.pop_back();

@@ -3,6 +3,7 @@
 // by gradient descent through the splatter. Needs nothing but satsurf::engine.
 #include <cmath>
 #include <cstdio>
+
 #include <satsurf/core/rng.h>
 #include <satsurf/nn/adamw.h>
 #include <satsurf/ops/elementwise.h>

@@ -18,7 +18,8 @@ AdamW::AdamW(ParameterSet<float>& parameters, const AdamWOptions& options)
 void AdamW::step(double lr) {
   ++steps_;
   const double t = static_cast<double>(steps_);
-  const double correct1 = 1 - std::pow(options_.beta1, t), correct2 = 1 - std::pow(options_.beta2, t);
+  const double correct1 = 1 - std::pow(options_.beta1, t),
+               correct2 = 1 - std::pow(options_.beta2, t);
   for (std::size_t k = 0; k < m_.size(); ++k) {
     const auto& entry = parameters_.entries()[k];
     BasicVar<float> var = entry.var;
@@ -29,7 +30,8 @@ void AdamW::step(double lr) {
     for (Index i = 0; i < var.count(); ++i) {
       m_[k][i] = static_cast<float>(options_.beta1 * m_[k][i] + (1 - options_.beta1) * g[i]);
       v_[k][i] = static_cast<float>(options_.beta2 * v_[k][i] + (1 - options_.beta2) * g[i] * g[i]);
-      const double update = m_[k][i] / correct1 / (std::sqrt(v_[k][i] / correct2) + options_.epsilon);
+      const double update =
+          m_[k][i] / correct1 / (std::sqrt(v_[k][i] / correct2) + options_.epsilon);
       p[i] = static_cast<float>(decay * p[i] - lr * update);
     }
   }
@@ -48,12 +50,13 @@ void AdamW::load(const TensorFile& file, const std::string& where) {
   const auto take = [&](const std::string& name, Tensor& into) {
     const auto it = file.tensors.find(name);
     if (it == file.tensors.end() || it->second.shape() != into.shape())
-      throw IoError(where + ": optimiser state " + name + " is missing or of another shape, expected " +
-                    into.shape().str());
+      throw IoError(where + ": optimiser state " + name +
+                    " is missing or of another shape, expected " + into.shape().str());
     into = it->second.clone();
   };
   const auto steps = file.metadata.find("adam.steps");
-  if (steps == file.metadata.end()) throw IoError(where + ": no optimiser state, expected a training checkpoint");
+  if (steps == file.metadata.end())
+    throw IoError(where + ": no optimiser state, expected a training checkpoint");
   for (std::size_t k = 0; k < m_.size(); ++k) {
     const std::string& name = parameters_.entries()[k].name;
     take("adam.m." + name, m_[k]);
@@ -61,7 +64,8 @@ void AdamW::load(const TensorFile& file, const std::string& where) {
   }
   char* end = nullptr;
   steps_ = std::strtol(steps->second.c_str(), &end, 10);
-  if (*end != '\0' || steps_ < 0) throw IoError(where + ": adam.steps is '" + steps->second + "', expected a count");
+  if (*end != '\0' || steps_ < 0)
+    throw IoError(where + ": adam.steps is '" + steps->second + "', expected a count");
 }
 
 double gradient_norm(const ParameterSet<float>& parameters) {
@@ -86,7 +90,8 @@ double one_cycle_lr(double peak, double warmup, Index step, Index steps) {
   const auto cosine = [](double from, double to, double t) {
     return to + (from - to) * 0.5 * (1 + std::cos(std::numbers::pi * std::clamp(t, 0.0, 1.0)));
   };
-  const double rise = std::max(1.0, warmup * static_cast<double>(steps)), now = static_cast<double>(step);
+  const double rise = std::max(1.0, warmup * static_cast<double>(steps)),
+               now = static_cast<double>(step);
   if (now < rise) return cosine(peak / kStartDivisor, peak, now / rise);
   const double fall = std::max(1.0, static_cast<double>(steps) - 1 - rise);
   return cosine(peak, peak / kEndDivisor, (now - rise) / fall);

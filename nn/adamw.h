@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <vector>
-
 #include "satsurf/nn/module.h"
+
+#include <vector>
 
 namespace satsurf::nn {
 
@@ -18,7 +18,8 @@ class AdamW {
  public:
   AdamW(ParameterSet<float>& parameters, const AdamWOptions& options);
 
-  /// One update from the parameters' gradients; a parameter without a gradient stays, its moments too.
+  /// One update from the parameters' gradients; a parameter without a gradient stays, its moments
+  /// too.
   void step(double lr);
   Index steps() const { return steps_; }
 
@@ -39,8 +40,9 @@ double gradient_norm(const ParameterSet<float>& parameters);
 /// Multiplies every gradient so that the norm is at most `limit`; returns the norm before.
 double clip_gradient_norm(ParameterSet<float>& parameters, double limit);
 
-/// One-cycle learning rate: a cosine from peak/25 up to the peak at `warmup` * steps, then a cosine down to
-/// peak/1e4 at the last step. Source: Smith and Topin 2018, with cosines. step counts from 0.
+/// One-cycle learning rate: a cosine from peak/25 up to the peak at `warmup` * steps, then a cosine
+/// down to peak/1e4 at the last step. Source: Smith and Topin 2018, with cosines. step counts from
+/// 0.
 double one_cycle_lr(double peak, double warmup, Index step, Index steps);
 
 }  // namespace satsurf::nn

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <string>
-
 #include "satsurf/nn/module.h"
 #include "satsurf/ops/conv.h"
 #include "satsurf/ops/norm.h"
+
+#include <string>
 
 namespace satsurf::nn {
 
@@ -17,7 +17,8 @@ template <class T>
 struct Conv2d {
   BasicVar<T> weight, bias;
   Conv2dOptions options;
-  Conv2d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index kernel, Index stride = 1);
+  Conv2d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index kernel,
+         Index stride = 1);
   BasicVar<T> operator()(const BasicVar<T>& x) const { return conv2d(x, weight, bias, options); }
 };
 
@@ -27,8 +28,8 @@ struct ConvNorm2d {
   BasicVar<T> weight, gamma, beta;
   Conv2dOptions options;
   Activation activation;
-  ConvNorm2d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index kernel, Index stride,
-             Activation act);
+  ConvNorm2d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index kernel,
+             Index stride, Activation act);
   BasicVar<T> operator()(const BasicVar<T>& x) const;
 };
 

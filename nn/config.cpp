@@ -5,7 +5,11 @@ namespace satsurf::nn {
 
 ModelConfig model_preset(const std::string& name) {
   if (name == "tiny")
-    return {.base = 4, .hypotheses = {8, 8, 4}, .volume_base = 4, .volume_levels = 2, .head_width = {8, 8, 8}};
+    return {.base = 4,
+            .hypotheses = {8, 8, 4},
+            .volume_base = 4,
+            .volume_levels = 2,
+            .head_width = {8, 8, 8}};
   if (name == "base8") return {};
   if (name == "base16") return {.base = 16, .volume_base = 16, .head_width = {96, 64, 48}};
   throw ConfigError("preset: '" + name + "', expected tiny, base8 or base16");

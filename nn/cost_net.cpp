@@ -7,7 +7,8 @@
 namespace satsurf::nn {
 
 template <class T>
-CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base, Index levels)
+CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base,
+                    Index levels)
     : first_(p, name + ".first", channels, base, 1) {
   for (Index l = 0; l < levels; ++l) {
     const std::string level = name + ".level" + std::to_string(l + 1);

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <vector>
-
 #include "satsurf/nn/blocks.h"
+
+#include <vector>
 
 namespace satsurf::nn {
 
-/// 3D U-Net that turns a variance volume into one logit per hypothesis. Source: Yao et al. 2018 (MVSNet), figure 2.
+/// 3D U-Net that turns a variance volume into one logit per hypothesis. Source: Yao et al. 2018
+/// (MVSNet), figure 2.
 template <class T>
 class CostNet {
  public:

@@ -27,8 +27,10 @@ std::array<BasicVar<T>, 3> FeatureNet<T>::operator()(const BasicVar<T>& images) 
   const BasicVar<T> full = full2_(full1_(images));
   const BasicVar<T> half = half3_(half2_(half1_(full)));
   const BasicVar<T> quarter = quarter3_(quarter2_(quarter1_(half)));
-  const BasicVar<T> top_half = resize_nearest(quarter, half.dim(2), half.dim(3)) + lateral_half_(half);
-  const BasicVar<T> top_full = resize_nearest(top_half, full.dim(2), full.dim(3)) + lateral_full_(full);
+  const BasicVar<T> top_half =
+      resize_nearest(quarter, half.dim(2), half.dim(3)) + lateral_half_(half);
+  const BasicVar<T> top_full =
+      resize_nearest(top_half, full.dim(2), full.dim(3)) + lateral_full_(full);
   return {out_quarter_(quarter), out_half_(top_half), out_full_(top_full)};
 }
 

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <array>
-
 #include "satsurf/nn/blocks.h"
+
+#include <array>
 
 namespace satsurf::nn {
 
 /// Feature pyramid shared by all views.
-/// Source: Lin et al. 2017 (FPN), in the form cascade stereo networks use; stride-2 layers are 4 x 4 with padding
-/// 1, so that stage pixel i is centred at image pixel (i + 0.5) s - 0.5 exactly.
+/// Source: Lin et al. 2017 (FPN), in the form cascade stereo networks use; stride-2 layers are 4 x
+/// 4 with padding 1, so that stage pixel i is centred at image pixel (i + 0.5) s - 0.5 exactly.
 template <class T>
 class FeatureNet {
  public:

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/hypotheses.h"
 
+#include "satsurf/core/parallel.h"
+
 #include <algorithm>
 #include <cmath>
-
-#include "satsurf/core/parallel.h"
 
 namespace satsurf::nn {
 
@@ -26,7 +26,8 @@ std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const Scen
   constexpr double kNoParallax = 1e-6;  // px per m; views from one direction carry no height
   const double last = std::clamp(config.interval_px / std::max(mean_parallax(scene), kNoParallax),
                                  config.interval_min, config.interval_max);
-  return {(scene.z_high - scene.z_low) / static_cast<double>(config.hypotheses[0] - 1), 2 * last, last};
+  return {(scene.z_high - scene.z_low) / static_cast<double>(config.hypotheses[0] - 1), 2 * last,
+          last};
 }
 
 template <class T>
@@ -40,7 +41,8 @@ BasicTensor<T> uniform_hypotheses(double low, double high, Index N, Index D, Ind
 }
 
 template <class T>
-BasicTensor<T> narrowed_hypotheses(const BasicTensor<T>& centre, double interval, Index D, double low, double high) {
+BasicTensor<T> narrowed_hypotheses(const BasicTensor<T>& centre, double interval, Index D,
+                                   double low, double high) {
   const Index N = centre.dim(0), H = centre.dim(1), W = centre.dim(2), P = H * W;
   auto out = BasicTensor<T>::uninitialised({N, D, H, W});
   const double half = 0.5 * interval * static_cast<double>(D - 1);
@@ -58,7 +60,9 @@ BasicTensor<T> narrowed_hypotheses(const BasicTensor<T>& centre, double interval
 
 template BasicTensor<float> uniform_hypotheses(double, double, Index, Index, Index, Index);
 template BasicTensor<double> uniform_hypotheses(double, double, Index, Index, Index, Index);
-template BasicTensor<float> narrowed_hypotheses(const BasicTensor<float>&, double, Index, double, double);
-template BasicTensor<double> narrowed_hypotheses(const BasicTensor<double>&, double, Index, double, double);
+template BasicTensor<float> narrowed_hypotheses(const BasicTensor<float>&, double, Index, double,
+                                                double);
+template BasicTensor<double> narrowed_hypotheses(const BasicTensor<double>&, double, Index, double,
+                                                 double);
 
 }  // namespace satsurf::nn

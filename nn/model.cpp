@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/model.h"
 
-#include <algorithm>
-#include <cmath>
-
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/cost_net.h"
 #include "satsurf/nn/feature_net.h"
@@ -14,15 +11,20 @@
 #include "satsurf/ops/resize.h"
 #include "satsurf/ops/softmax.h"
 
+#include <algorithm>
+#include <cmath>
+
 namespace satsurf::nn {
 namespace {
 
 constexpr std::array<Index, 3> kStrides{4, 2, 1};
 
-/// Each image by its own mean and deviation over valid pixels: dates differ in radiometry. Invalid pixels become 0.
+/// Each image by its own mean and deviation over valid pixels: dates differ in radiometry. Invalid
+/// pixels become 0.
 template <class T>
 BasicTensor<T> standardised(const std::vector<View>& views) {
-  const Index N = static_cast<Index>(views.size()), H = views[0].rgb.dim(1), W = views[0].rgb.dim(2), P = H * W;
+  const Index N = static_cast<Index>(views.size()), H = views[0].rgb.dim(1),
+              W = views[0].rgb.dim(2), P = H * W;
   auto out = BasicTensor<T>::uninitialised({N, 3, H, W});
   for_each_index(N, [&](Index n) {
     const View& v = views[static_cast<std::size_t>(n)];
@@ -37,12 +39,15 @@ BasicTensor<T> standardised(const std::vector<View>& views) {
       }
     const double mean = count > 0 ? sum / count : 0;
     const double variance = count > 0 ? std::max(squares / count - mean * mean, 0.0) : 0;
-    constexpr double kFlat = 1e-3;  // an image without contrast stays near zero instead of amplifying its noise
+    constexpr double kFlat =
+        1e-3;  // an image without contrast stays near zero instead of amplifying its noise
     const double inverse = 1 / (std::sqrt(variance) + kFlat);
     for (Index c = 0; c < 3; ++c)
       for (Index i = 0; i < P; ++i)
         out[(n * 3 + c) * P + i] =
-            v.valid[i] > 0 ? static_cast<T>((static_cast<double>(v.rgb[c * P + i]) - mean) * inverse) : T(0);
+            v.valid[i] > 0
+                ? static_cast<T>((static_cast<double>(v.rgb[c * P + i]) - mean) * inverse)
+                : T(0);
   });
   return out;
 }
@@ -62,23 +67,27 @@ BasicTensor<T> stacked(const std::vector<View>& views, const Tensor View::*membe
 
 void check(const ModelConfig& config, const SceneInput& scene) {
   const std::size_t N = scene.sources.size();
-  if (N < 2) throw ShapeError("model: " + std::to_string(N) + " source views, expected two or more");
+  if (N < 2)
+    throw ShapeError("model: " + std::to_string(N) + " source views, expected two or more");
   const Shape& first = scene.sources[0].rgb.shape();
   const Index multiple = size_multiple(config);
   for (const View& v : scene.sources) {
     if (v.rgb.shape() != first || first.rank() != 3 || first[0] != 3)
-      throw ShapeError("model: a view has shape " + v.rgb.shape().str() + ", expected [3 H W], the same for all");
+      throw ShapeError("model: a view has shape " + v.rgb.shape().str() +
+                       ", expected [3 H W], the same for all");
     if (v.valid.shape() != Shape{first[1], first[2]})
-      throw ShapeError("model: a validity mask has shape " + v.valid.shape().str() + ", expected [H W] of its view");
+      throw ShapeError("model: a validity mask has shape " + v.valid.shape().str() +
+                       ", expected [H W] of its view");
   }
   if (first[1] % multiple != 0 || first[2] % multiple != 0)
-    throw ShapeError("model: views are " + first.str() + ", expected multiples of " + std::to_string(multiple));
+    throw ShapeError("model: views are " + first.str() + ", expected multiples of " +
+                     std::to_string(multiple));
   if (scene.transfer.size() != N || std::any_of(scene.transfer.begin(), scene.transfer.end(),
                                                 [N](const auto& row) { return row.size() != N; }))
     throw ShapeError("model: expected a pixel transfer for every pair of views");
   if (!(scene.z_high > scene.z_low))
-    throw ConfigError("model: height range " + std::to_string(scene.z_low) + " to " + std::to_string(scene.z_high) +
-                      ", expected a positive span");
+    throw ConfigError("model: height range " + std::to_string(scene.z_low) + " to " +
+                      std::to_string(scene.z_high) + ", expected a positive span");
 }
 
 }  // namespace
@@ -91,11 +100,14 @@ struct BasicModel<T>::Parts {
     SurfelHead<T> head;
   };
 
-  Parts(const ModelConfig& c, std::uint64_t seed) : config(c), parameters(seed), features(parameters, c.base) {
+  Parts(const ModelConfig& c, std::uint64_t seed)
+      : config(c), parameters(seed), features(parameters, c.base) {
     for (std::size_t s = 0; s < 3; ++s) {
       const std::string name = "stage" + std::to_string(s + 1);
-      const Index channels = config.base * kStrides[s], head_in = 3 + channels + config.hypotheses[s] + 1;
-      stages.push_back({CostNet<T>(parameters, name + ".cost", channels, config.volume_base, config.volume_levels),
+      const Index channels = config.base * kStrides[s],
+                  head_in = 3 + channels + config.hypotheses[s] + 1;
+      stages.push_back({CostNet<T>(parameters, name + ".cost", channels, config.volume_base,
+                                   config.volume_levels),
                         SurfelHead<T>(parameters, name + ".head", head_in, config.head_width[s])});
     }
   }
@@ -112,7 +124,8 @@ BasicModel<T>::BasicModel(const ModelConfig& config, std::uint64_t seed) {
   for (const Index d : config.hypotheses)
     if (d % halved != 0)
       throw ConfigError("model: " + std::to_string(d) + " hypotheses, expected a multiple of " +
-                        std::to_string(halved) + " (volume_levels = " + std::to_string(config.volume_levels) + ")");
+                        std::to_string(halved) +
+                        " (volume_levels = " + std::to_string(config.volume_levels) + ")");
   parts_ = std::make_unique<Parts>(config, seed);
 }
 
@@ -140,7 +153,8 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
   const ModelConfig& config = parts_->config;
   check(config, scene);
   const std::size_t N = scene.sources.size();
-  const Index views = static_cast<Index>(N), H = scene.sources[0].rgb.dim(1), W = scene.sources[0].rgb.dim(2);
+  const Index views = static_cast<Index>(N), H = scene.sources[0].rgb.dim(1),
+              W = scene.sources[0].rgb.dim(2);
   const std::array<double, 3> intervals = hypothesis_intervals(config, scene);
   const double z_mid = 0.5 * (scene.z_low + scene.z_high);
 
@@ -155,13 +169,15 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
     stage.stride = stride;
     stage.interval = intervals[s];
 
-    // 1. Which heights to try: the whole range first, then a narrow band around the previous stage's surface.
+    // 1. Which heights to try: the whole range first, then a narrow band around the previous
+    // stage's surface.
     if (s == 0) {
       stage.hypotheses = uniform_hypotheses<T>(scene.z_low, scene.z_high, views, D, h, w);
     } else {
       const NoGrad no_grad;
       const BasicVar<T> centre = resize_bilinear(out[s - 1].height.detach(), h, w);
-      const double margin = 2 * intervals[s];  // a surface at the very edge of the range stays inside the band
+      const double margin =
+          2 * intervals[s];  // a surface at the very edge of the range stays inside the band
       stage.hypotheses = narrowed_hypotheses(centre.value(), intervals[s], D, scene.z_low - margin,
                                              scene.z_high + margin);
     }
@@ -172,10 +188,11 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
     for (std::size_t i = 0; i < N; ++i) {
       std::vector<Quadratic> maps;
       for (std::size_t j = 0; j < N; ++j)
-        maps.push_back(rescale_pixels(scene.transfer[i][j], static_cast<double>(stride), static_cast<double>(stride)));
-      const BasicVar<T> volume =
-          plane_sweep_variance(pyramid[s], static_cast<Index>(i), maps, stage.hypotheses.slice0(static_cast<Index>(i)),
-                               seen, config.variance_includes_reference);
+        maps.push_back(rescale_pixels(scene.transfer[i][j], static_cast<double>(stride),
+                                      static_cast<double>(stride)));
+      const BasicVar<T> volume = plane_sweep_variance(
+          pyramid[s], static_cast<Index>(i), maps, stage.hypotheses.slice0(static_cast<Index>(i)),
+          seen, config.variance_includes_reference);
       logits.push_back(parts_->stages[s].cost(volume));
     }
 
@@ -186,29 +203,33 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
 
     // 4. One surfel per pixel.
     const BasicVar<T> image = stride == 1 ? images : area_downsample(images, stride);
-    const BasicVar<T> head_input =
-        concat<T>({image, pyramid[s], stage.probability, reshape(stage.confidence, Shape{views, 1, h, w})}, 1);
+    const BasicVar<T> head_input = concat<T>(
+        {image, pyramid[s], stage.probability, reshape(stage.confidence, Shape{views, 1, h, w})},
+        1);
     std::vector<PixelGeometry> geometry;
     for (const View& v : scene.sources) geometry.push_back(pixel_geometry(v, z_mid, stride));
-    stage.surfels = surfels_from_maps(parts_->stages[s].head(head_input), stage.height, image.value(),
-                                      stage.confidence, geometry, config.rotation == "camera+residual");
+    stage.surfels =
+        surfels_from_maps(parts_->stages[s].head(head_input), stage.height, image.value(),
+                          stage.confidence, geometry, config.rotation == "camera+residual");
   }
   return out;
 }
 
 template <class T>
-splat::BasicRender<T> render_view(const splat::BasicSurfels<T>& surfels, const Quadratic& pixel_from_local,
-                                  Index height, Index width, Index stride) {
-  const auto projection =
-      splat::project(surfels.means.value(), rescale_pixels(pixel_from_local, 1, static_cast<double>(stride)));
-  return splat::rasterize(surfels, projection, {.height = height / stride, .width = width / stride});
+splat::BasicRender<T> render_view(const splat::BasicSurfels<T>& surfels,
+                                  const Quadratic& pixel_from_local, Index height, Index width,
+                                  Index stride) {
+  const auto projection = splat::project(
+      surfels.means.value(), rescale_pixels(pixel_from_local, 1, static_cast<double>(stride)));
+  return splat::rasterize(surfels, projection,
+                          {.height = height / stride, .width = width / stride});
 }
 
 template class BasicModel<float>;
 template class BasicModel<double>;
-template splat::BasicRender<float> render_view(const splat::BasicSurfels<float>&, const Quadratic&, Index, Index,
-                                               Index);
-template splat::BasicRender<double> render_view(const splat::BasicSurfels<double>&, const Quadratic&, Index, Index,
-                                                Index);
+template splat::BasicRender<float> render_view(const splat::BasicSurfels<float>&, const Quadratic&,
+                                               Index, Index, Index);
+template splat::BasicRender<double> render_view(const splat::BasicSurfels<double>&,
+                                                const Quadratic&, Index, Index, Index);
 
 }  // namespace satsurf::nn

@@ -1,27 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <array>
-#include <memory>
-#include <vector>
-
 #include "satsurf/nn/config.h"
 #include "satsurf/nn/module.h"
 #include "satsurf/nn/scene.h"
 #include "satsurf/splat/rasterize.h"
+
+#include <array>
+#include <memory>
+#include <vector>
 
 namespace satsurf::nn {
 
 /// What one stage of the cascade predicts for all N source views, at the stage's resolution.
 template <class T>
 struct StageOutput {
-  Index stride = 1;                     ///< 4, 2 or 1 image pixels per stage pixel
-  double interval = 0;                  ///< between hypotheses, m
-  BasicTensor<T> hypotheses;            ///< [N D h w] m
-  BasicVar<T> probability;              ///< [N D h w] over the hypotheses
-  BasicVar<T> height;                   ///< [N h w] expected height H_s, m in the local frame
-  BasicVar<T> confidence;               ///< [N h w] max probability C_s
-  splat::BasicSurfels<T> surfels;       ///< N*h*w pixel-aligned surfels; aux channel 0 is the confidence
+  Index stride = 1;                ///< 4, 2 or 1 image pixels per stage pixel
+  double interval = 0;             ///< between hypotheses, m
+  BasicTensor<T> hypotheses;       ///< [N D h w] m
+  BasicVar<T> probability;         ///< [N D h w] over the hypotheses
+  BasicVar<T> height;              ///< [N h w] expected height H_s, m in the local frame
+  BasicVar<T> confidence;          ///< [N h w] max probability C_s
+  splat::BasicSurfels<T> surfels;  ///< N*h*w pixel-aligned surfels; aux channel 0 is the confidence
 };
 
 /// The three-stage coarse-to-fine cascade.
@@ -51,7 +51,8 @@ using Model = BasicModel<float>;
 /// Renders surfels into a view of height x width image pixels, at one of the stage strides.
 /// pixel_from_local  the view's projection in image pixels
 template <class T>
-splat::BasicRender<T> render_view(const splat::BasicSurfels<T>& surfels, const Quadratic& pixel_from_local,
-                                  Index height, Index width, Index stride);
+splat::BasicRender<T> render_view(const splat::BasicSurfels<T>& surfels,
+                                  const Quadratic& pixel_from_local, Index height, Index width,
+                                  Index stride);
 
 }  // namespace satsurf::nn

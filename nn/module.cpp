@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/module.h"
 
+#include "satsurf/core/rng.h"
+
 #include <cmath>
 #include <set>
-
-#include "satsurf/core/rng.h"
 
 namespace satsurf::nn {
 namespace {
@@ -21,14 +21,16 @@ void append_some(std::string& text, const char* what, const std::vector<std::str
   text += "; ";
   text += what;
   constexpr std::size_t kShown = 3;
-  for (std::size_t i = 0; i < names.size() && i < kShown; ++i) text += (i > 0 ? ", " : " ") + names[i];
+  for (std::size_t i = 0; i < names.size() && i < kShown; ++i)
+    text += (i > 0 ? ", " : " ") + names[i];
   if (names.size() > kShown) text += " and " + std::to_string(names.size() - kShown) + " more";
 }
 
 }  // namespace
 
 template <class T>
-BasicVar<T> ParameterSet<T>::create(const std::string& name, const Shape& shape, const Init& init, bool decays) {
+BasicVar<T> ParameterSet<T>::create(const std::string& name, const Shape& shape, const Init& init,
+                                    bool decays) {
   for (const Entry& e : entries_)
     if (e.name == name) throw Error("ParameterSet: parameter " + name + " exists already");
   BasicTensor<T> value(shape, static_cast<T>(init.value));
@@ -54,11 +56,13 @@ void ParameterSet<T>::clear_grads() {
 
 template <class T>
 void ParameterSet<T>::store(TensorFile& file, const std::string& prefix) const {
-  for (const Entry& e : entries_) file.tensors[prefix + e.name] = e.var.value().template cast<float>();
+  for (const Entry& e : entries_)
+    file.tensors[prefix + e.name] = e.var.value().template cast<float>();
 }
 
 template <class T>
-void ParameterSet<T>::load(const TensorFile& file, const std::string& prefix, const std::string& where) {
+void ParameterSet<T>::load(const TensorFile& file, const std::string& prefix,
+                           const std::string& where) {
   std::vector<std::string> missing, misshaped, extra;
   std::set<std::string> known;
   for (const Entry& e : entries_) {
@@ -67,10 +71,12 @@ void ParameterSet<T>::load(const TensorFile& file, const std::string& prefix, co
     if (it == file.tensors.end())
       missing.push_back(e.name);
     else if (it->second.shape() != e.var.shape())
-      misshaped.push_back(e.name + " (" + it->second.shape().str() + ", expected " + e.var.shape().str() + ")");
+      misshaped.push_back(e.name + " (" + it->second.shape().str() + ", expected " +
+                          e.var.shape().str() + ")");
   }
   for (const auto& [name, tensor] : file.tensors)
-    if (name.starts_with(prefix) && !known.contains(name)) extra.push_back(name.substr(prefix.size()));
+    if (name.starts_with(prefix) && !known.contains(name))
+      extra.push_back(name.substr(prefix.size()));
   if (!missing.empty() || !misshaped.empty() || !extra.empty()) {
     std::string text = where + ": these parameters do not fit the model";
     append_some(text, "missing", missing);
@@ -78,7 +84,8 @@ void ParameterSet<T>::load(const TensorFile& file, const std::string& prefix, co
     append_some(text, "not in the model", extra);
     throw IoError(text);
   }
-  for (Entry& e : entries_) e.var.mutable_value() = file.tensors.at(prefix + e.name).template cast<T>();
+  for (Entry& e : entries_)
+    e.var.mutable_value() = file.tensors.at(prefix + e.name).template cast<T>();
 }
 
 template class ParameterSet<float>;

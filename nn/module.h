@@ -1,27 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/safetensors.h"
+#include "satsurf/core/var.h"
+
 #include <cstdint>
 #include <string>
 #include <utility>
 #include <vector>
-
-#include "satsurf/core/safetensors.h"
-#include "satsurf/core/var.h"
 
 namespace satsurf::nn {
 
 /// How a new parameter is filled.
 struct Init {
   enum class Kind { constant, kaiming } kind = Kind::constant;
-  double value = 0;   ///< of a constant
-  Index fan_in = 1;   ///< of kaiming: N(0, 2 / fan_in). Source: He et al. 2015, eq. 10
+  double value = 0;  ///< of a constant
+  Index fan_in = 1;  ///< of kaiming: N(0, 2 / fan_in). Source: He et al. 2015, eq. 10
   static Init constant(double value) { return {Kind::constant, value, 1}; }
   static Init kaiming(Index fan_in) { return {Kind::kaiming, 0, fan_in}; }
 };
 
-/// The named parameters of a model, in creation order. Values depend on the seed and the name alone, so adding
-/// a layer does not change the others.
+/// The named parameters of a model, in creation order. Values depend on the seed and the name
+/// alone, so adding a layer does not change the others.
 template <class T>
 class ParameterSet {
  public:
@@ -42,7 +42,8 @@ class ParameterSet {
 
   /// Adds every parameter under `prefix` + its name.
   void store(TensorFile& file, const std::string& prefix) const;
-  /// Takes every parameter from `prefix` + its name. throws IoError listing missing, extra and mis-shaped names
+  /// Takes every parameter from `prefix` + its name. throws IoError listing missing, extra and
+  /// mis-shaped names
   void load(const TensorFile& file, const std::string& prefix, const std::string& where);
 
  private:

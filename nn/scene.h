@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <vector>
-
 #include "satsurf/core/quadratic.h"
 #include "satsurf/core/tensor.h"
+
+#include <vector>
 
 namespace satsurf::nn {
 
@@ -16,11 +16,13 @@ struct View {
   Quadratic pixel_from_local;  ///< (x, y, z) m -> px
 };
 
-/// What the network is given: source views of one size, and the pixel transfer between any two of them.
+/// What the network is given: source views of one size, and the pixel transfer between any two of
+/// them.
 struct SceneInput {
-  std::vector<View> sources;                     ///< two or more, H and W multiples of `size_multiple`
-  std::vector<std::vector<Quadratic>> transfer;  ///< [reference][source]: (x, y, z) -> px; the diagonal is unused
-  double z_low = 0, z_high = 0;                  ///< height range in the local frame, m
+  std::vector<View> sources;  ///< two or more, H and W multiples of `size_multiple`
+  std::vector<std::vector<Quadratic>>
+      transfer;                  ///< [reference][source]: (x, y, z) -> px; the diagonal is unused
+  double z_low = 0, z_high = 0;  ///< height range in the local frame, m
 };
 
 }  // namespace satsurf::nn

@@ -1,23 +1,26 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/surfel_head.h"
 
-#include <cmath>
-
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/rpc/fit.h"
 
+#include <cmath>
+
 namespace satsurf::nn {
 namespace {
 
 constexpr double kScaleLow = 0.1, kScaleSpan = 2.9;  // standard deviation in pixels: 0.1 to 3
-constexpr double kScaleBias = -1.57;                 // sigmoid -> 0.17: 0.6 pixels, neighbours just overlap
-constexpr double kOpacityBias = 1.0;                 // 0.73: front surfels dominate, those behind still get gradients
-constexpr Index kPacked = 13;                        // means 3, quats 4, scales 2, opacity 1, colours 3
+constexpr double kScaleBias = -1.57;  // sigmoid -> 0.17: 0.6 pixels, neighbours just overlap
+constexpr double kOpacityBias =
+    1.0;                       // 0.73: front surfels dominate, those behind still get gradients
+constexpr Index kPacked = 13;  // means 3, quats 4, scales 2, opacity 1, colours 3
 
-double sigmoid_of(double x) { return x >= 0 ? 1 / (1 + std::exp(-x)) : std::exp(x) / (1 + std::exp(x)); }
+double sigmoid_of(double x) {
+  return x >= 0 ? 1 / (1 + std::exp(-x)) : std::exp(x) / (1 + std::exp(x));
+}
 
 /// Hamilton product as a 4 x 4 matrix acting on the right factor: (q (x) r)_k = sum_l m[k][l] r_l.
 std::array<std::array<double, 4>, 4> left_product(const std::array<double, 4>& q) {
@@ -58,14 +61,17 @@ BasicVar<T> SurfelHead<T>::operator()(const BasicVar<T>& x) const {
 template <class T>
 splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<T>& height,
                                          const BasicTensor<T>& image, const BasicVar<T>& confidence,
-                                         const std::vector<PixelGeometry>& geometry, bool residual_rotation) {
+                                         const std::vector<PixelGeometry>& geometry,
+                                         bool residual_rotation) {
   Dims dim("surfels_from_maps");
-  dim.match("raw", raw, "N 10 H W").match("height", height, "N H W").match("image", image, "N 3 H W");
+  dim.match("raw", raw, "N 10 H W")
+      .match("height", height, "N H W")
+      .match("image", image, "N 3 H W");
   dim.match("confidence", confidence, "N H W");
   const Index N = dim["N"], H = dim["H"], W = dim["W"], P = H * W;
   if (static_cast<Index>(geometry.size()) != N)
-    throw ShapeError("surfels_from_maps: " + std::to_string(geometry.size()) + " cameras, expected " +
-                     std::to_string(N));
+    throw ShapeError("surfels_from_maps: " + std::to_string(geometry.size()) +
+                     " cameras, expected " + std::to_string(N));
 
   auto out = BasicTensor<T>::uninitialised({N * P, kPacked});
   for_each_index(N * H, [&](Index row) {
@@ -74,7 +80,8 @@ splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<
     const auto product = left_product(g.quat);
     for (Index x = 0; x < W; ++x) {
       const Index i = y * W + x;
-      const T* r = raw.value().data() + n * SurfelHead<T>::kOutputs * P + i;  // channel k at r[k * P]
+      const T* r =
+          raw.value().data() + n * SurfelHead<T>::kOutputs * P + i;  // channel k at r[k * P]
       T* o = out.data() + (n * P + i) * kPacked;
       const double z = static_cast<double>(height.value()[n * P + i]);
       const auto ground = g.local_from_pixel(static_cast<double>(x), static_cast<double>(y), z);
@@ -92,14 +99,15 @@ splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<
         o[3 + k] = static_cast<T>(q);
       }
       for (Index k = 0; k < 2; ++k)
-        o[7 + k] = static_cast<T>(g.footprint * (kScaleLow + kScaleSpan * sigmoid_of(static_cast<double>(r[k * P]))));
+        o[7 + k] = static_cast<T>(
+            g.footprint * (kScaleLow + kScaleSpan * sigmoid_of(static_cast<double>(r[k * P]))));
       o[9] = static_cast<T>(sigmoid_of(static_cast<double>(r[6 * P])));
       for (Index k = 0; k < 3; ++k) o[10 + k] = image[(n * 3 + k) * P + i] + r[(7 + k) * P];
     }
   });
 
-  const auto packed = BasicVar<T>::record(
-      "surfels_from_maps", out, {raw, height}, [=](Node<T>& node) {
+  const auto packed =
+      BasicVar<T>::record("surfels_from_maps", out, {raw, height}, [=](Node<T>& node) {
         T* d_raw = node.grad_in(0);
         T* d_height = node.grad_in(1);
         const T* z_map = node.in(1);
@@ -113,14 +121,17 @@ splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<
             const T* u = grad + (n * P + i) * kPacked;
             const T* o = out.data() + (n * P + i) * kPacked;
             if (d_height != nullptr) {
-              const auto j = g.local_from_pixel.jacobian(static_cast<double>(x), static_cast<double>(y),
-                                                         static_cast<double>(z_map[n * P + i]));
-              d_height[n * P + i] += static_cast<T>(j[0][2]) * u[0] + static_cast<T>(j[1][2]) * u[1] + u[2];
+              const auto j =
+                  g.local_from_pixel.jacobian(static_cast<double>(x), static_cast<double>(y),
+                                              static_cast<double>(z_map[n * P + i]));
+              d_height[n * P + i] +=
+                  static_cast<T>(j[0][2]) * u[0] + static_cast<T>(j[1][2]) * u[1] + u[2];
             }
             if (d_raw == nullptr) continue;
             T* d = d_raw + n * SurfelHead<T>::kOutputs * P + i;
             for (Index k = 0; k < 2; ++k) {  // s = f (a + b sigma)  ->  ds = f b sigma (1 - sigma)
-              const double sigma = (static_cast<double>(o[7 + k]) / g.footprint - kScaleLow) / kScaleSpan;
+              const double sigma =
+                  (static_cast<double>(o[7 + k]) / g.footprint - kScaleLow) / kScaleSpan;
               d[k * P] += static_cast<T>(g.footprint * kScaleSpan * sigma * (1 - sigma)) * u[7 + k];
             }
             if (residual_rotation)
@@ -147,11 +158,15 @@ splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<
 
 template class SurfelHead<float>;
 template class SurfelHead<double>;
-template splat::BasicSurfels<float> surfels_from_maps(const BasicVar<float>&, const BasicVar<float>&,
-                                                      const BasicTensor<float>&, const BasicVar<float>&,
+template splat::BasicSurfels<float> surfels_from_maps(const BasicVar<float>&,
+                                                      const BasicVar<float>&,
+                                                      const BasicTensor<float>&,
+                                                      const BasicVar<float>&,
                                                       const std::vector<PixelGeometry>&, bool);
-template splat::BasicSurfels<double> surfels_from_maps(const BasicVar<double>&, const BasicVar<double>&,
-                                                       const BasicTensor<double>&, const BasicVar<double>&,
+template splat::BasicSurfels<double> surfels_from_maps(const BasicVar<double>&,
+                                                       const BasicVar<double>&,
+                                                       const BasicTensor<double>&,
+                                                       const BasicVar<double>&,
                                                        const std::vector<PixelGeometry>&, bool);
 
 }  // namespace satsurf::nn

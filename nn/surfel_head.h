@@ -1,28 +1,28 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <array>
-#include <vector>
-
 #include "satsurf/nn/blocks.h"
 #include "satsurf/nn/scene.h"
 #include "satsurf/splat/rasterize.h"
+
+#include <array>
+#include <vector>
 
 namespace satsurf::nn {
 
 /// What the head needs to know of one view's camera at a stage's resolution.
 struct PixelGeometry {
-  Quadratic local_from_pixel;               ///< stage pixel (x, y), z -> local (x, y)
-  std::array<double, 4> quat{1, 0, 0, 0};   ///< camera-to-world rotation, w x y z
-  double footprint = 1;                     ///< across-ray ground size of a stage pixel, m
+  Quadratic local_from_pixel;              ///< stage pixel (x, y), z -> local (x, y)
+  std::array<double, 4> quat{1, 0, 0, 0};  ///< camera-to-world rotation, w x y z
+  double footprint = 1;                    ///< across-ray ground size of a stage pixel, m
 };
 
 /// From a view's camera in image pixels. throws Error for a mirrored image
 PixelGeometry pixel_geometry(const View& view, double z, Index stride);
 
 /// 2D network from image, features and height distribution to raw surfel attributes.
-///   3x3 -> width, GroupNorm, GELU; two residual 3x3; 1x1 -> 10, zero-initialised with the biases of an opaque disc
-///   of 0.6 pixels that faces the camera and has the image's colour
+///   3x3 -> width, GroupNorm, GELU; two residual 3x3; 1x1 -> 10, zero-initialised with the biases
+///   of an opaque disc of 0.6 pixels that faces the camera and has the image's colour
 template <class T>
 class SurfelHead {
  public:
@@ -37,8 +37,9 @@ class SurfelHead {
 };
 
 /// One surfel per pixel from raw attributes and heights:
-///   mu = localisation(pixel centre, H)                    scale = footprint (0.1 + 2.9 sigmoid(r0..1))
-///   q = q_view (x) (1 + r2, r3, r4, r5), or q_view alone   opacity = sigmoid(r6)     colour = image + r7..9
+///   mu = localisation(pixel centre, H)                    scale = footprint (0.1 + 2.9
+///   sigmoid(r0..1)) q = q_view (x) (1 + r2, r3, r4, r5), or q_view alone   opacity = sigmoid(r6)
+///   colour = image + r7..9
 /// dL/dH = v . dL/dmu with v the ground displacement along the ray per metre (v_z = 1).
 /// raw         [N 10 H W]
 /// height      [N H W] m
@@ -49,6 +50,7 @@ class SurfelHead {
 template <class T>
 splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<T>& height,
                                          const BasicTensor<T>& image, const BasicVar<T>& confidence,
-                                         const std::vector<PixelGeometry>& geometry, bool residual_rotation);
+                                         const std::vector<PixelGeometry>& geometry,
+                                         bool residual_rotation);
 
 }  // namespace satsurf::nn

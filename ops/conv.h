@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <array>
-
 #include "satsurf/core/var.h"
+
+#include <array>
 
 namespace satsurf {
 
@@ -26,12 +26,9 @@ struct ConvTranspose3dOptions {
   std::array<Index, 3> output_padding{0, 0, 0};
 };
 
-/// 2D cross-correlation: out[b,o,y,x] = bias[o] + sum_{c,i,j} weight[o,c,i,j] x[b,c,y*sy+i-py,x*sx+j-px].
-/// x       [B C H W]
-/// weight  [O C KH KW]
-/// bias    [O], or an empty Var for none
-/// returns [B O H' W'] with H' = (H + 2 py - KH) / sy + 1 (floor)
-/// throws  ShapeError
+/// 2D cross-correlation: out[b,o,y,x] = bias[o] + sum_{c,i,j} weight[o,c,i,j]
+/// x[b,c,y*sy+i-py,x*sx+j-px]. x       [B C H W] weight  [O C KH KW] bias    [O], or an empty Var
+/// for none returns [B O H' W'] with H' = (H + 2 py - KH) / sy + 1 (floor) throws  ShapeError
 template <class T>
 BasicVar<T> conv2d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
                    const Conv2dOptions& options = {});
@@ -53,7 +50,7 @@ BasicVar<T> conv3d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicV
 /// returns [B O D' H' W'] with D' = (D - 1) s - 2 p + KD + output_padding
 /// throws  ShapeError
 template <class T>
-BasicVar<T> conv_transpose3d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
-                             const ConvTranspose3dOptions& options = {});
+BasicVar<T> conv_transpose3d(const BasicVar<T>& x, const BasicVar<T>& weight,
+                             const BasicVar<T>& bias, const ConvTranspose3dOptions& options = {});
 
 }  // namespace satsurf

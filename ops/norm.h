@@ -9,8 +9,8 @@ namespace satsurf {
 enum class Activation { none, relu, gelu };
 
 /// Group normalisation and activation in one pass:
-///   y = act(gamma_c (x - mean_g) / sqrt(var_g + epsilon) + beta_c), moments over the channels of group g and
-///   all positions of one batch element (biased variance).
+///   y = act(gamma_c (x - mean_g) / sqrt(var_g + epsilon) + beta_c), moments over the channels of
+///   group g and all positions of one batch element (biased variance).
 /// Source:  Wu and He 2018, eq. 1-2. The activation is fused (ours).
 /// x      [B C ...] rank 3 to 5
 /// gamma  [C], beta [C]
@@ -18,7 +18,7 @@ enum class Activation { none, relu, gelu };
 /// throws ShapeError
 /// memory kept for backward: x itself and two numbers per group
 template <class T>
-BasicVar<T> group_norm(const BasicVar<T>& x, const BasicVar<T>& gamma, const BasicVar<T>& beta, Index groups,
-                       Activation activation = Activation::none, T epsilon = T(1e-5));
+BasicVar<T> group_norm(const BasicVar<T>& x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
+                       Index groups, Activation activation = Activation::none, T epsilon = T(1e-5));
 
 }  // namespace satsurf

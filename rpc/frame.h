@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/rpc/model.h"
+
 #include <array>
 #include <string>
-
-#include "satsurf/rpc/model.h"
 
 namespace satsurf::rpc {
 
@@ -20,7 +20,8 @@ struct UtmZone {
 
 /// The zone of a position by its longitude (no exceptions for Norway and Svalbard).
 UtmZone utm_zone_of(double lon, double lat);
-/// Easting and northing, m, to better than 1e-6 m within the zone and its neighbours (Krueger series, order 6).
+/// Easting and northing, m, to better than 1e-6 m within the zone and its neighbours (Krueger
+/// series, order 6).
 std::array<double, 2> utm_from_geodetic(const UtmZone& zone, double lon, double lat);
 /// lon, lat in degrees.
 std::array<double, 2> geodetic_from_utm(const UtmZone& zone, double easting, double northing);
@@ -28,8 +29,8 @@ std::array<double, 2> geodetic_from_utm(const UtmZone& zone, double easting, dou
 std::array<double, 3> ecef_from_geodetic(const Geodetic& p);
 Geodetic geodetic_from_ecef(const std::array<double, 3>& p);
 
-/// The scene's metric frame: x = easting - origin, y = northing - origin, z = h - origin, one zone forced for the
-/// whole scene. Small enough for float32.
+/// The scene's metric frame: x = easting - origin, y = northing - origin, z = h - origin, one zone
+/// forced for the whole scene. Small enough for float32.
 struct LocalFrame {
   UtmZone zone;
   double easting0 = 0, northing0 = 0, h0 = 0;

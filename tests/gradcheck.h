@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <doctest/doctest.h>
+#include "satsurf/core/rng.h"
+#include "satsurf/core/var.h"
 
 #include <algorithm>
 #include <cmath>
@@ -11,8 +12,7 @@
 #include <string>
 #include <vector>
 
-#include "satsurf/core/rng.h"
-#include "satsurf/core/var.h"
+#include <doctest/doctest.h>
 
 namespace satsurf::test {
 
@@ -24,7 +24,8 @@ inline BasicTensor<double> normal(const Shape& shape, std::uint64_t seed, double
   return t;
 }
 
-/// Moves every element at least `distance` away from `kink`, for ops that are not differentiable there.
+/// Moves every element at least `distance` away from `kink`, for ops that are not differentiable
+/// there.
 inline BasicTensor<double> away_from(BasicTensor<double> t, double kink, double distance) {
   for (double& v : t.values())
     if (std::abs(v - kink) < distance) v = v < kink ? kink - distance : kink + distance;
@@ -44,16 +45,19 @@ struct GradcheckReport {
   explicit operator bool() const { return ok; }
 };
 
-inline std::ostream& operator<<(std::ostream& out, const GradcheckReport& r) { return out << r.text; }
+inline std::ostream& operator<<(std::ostream& out, const GradcheckReport& r) {
+  return out << r.text;
+}
 inline doctest::String toString(const GradcheckReport& r) { return r.text.c_str(); }
 
 using DoubleVars = std::vector<BasicVar<double>>;
 
-/// Compares the backward pass of `f` in double with central differences of <cotangent, f(x)>, element by
-/// element. Fails too where an input's gradient is all zero without being declared so: tolerances alone
-/// would let a forgotten gradient pass.
+/// Compares the backward pass of `f` in double with central differences of <cotangent, f(x)>,
+/// element by element. Fails too where an input's gradient is all zero without being declared so:
+/// tolerances alone would let a forgotten gradient pass.
 inline GradcheckReport gradcheck(const std::function<BasicVar<double>(const DoubleVars&)>& f,
-                                 const std::vector<BasicTensor<double>>& inputs, const GradcheckOptions& opt = {}) {
+                                 const std::vector<BasicTensor<double>>& inputs,
+                                 const GradcheckOptions& opt = {}) {
   DoubleVars vars;
   for (const auto& t : inputs) vars.emplace_back(t.clone(), true);
   const BasicVar<double> out = f(vars);
@@ -81,14 +85,16 @@ inline GradcheckReport gradcheck(const std::function<BasicVar<double>(const Doub
       x[i] = saved - h;
       const double down = objective();
       x[i] = saved;
-      const double numeric = (up - down) / (2 * h), analytic = vars[k].grad().empty() ? 0.0 : vars[k].grad()[i];
+      const double numeric = (up - down) / (2 * h),
+                   analytic = vars[k].grad().empty() ? 0.0 : vars[k].grad()[i];
       all_zero = all_zero && analytic == 0.0;
-      const double error = std::abs(analytic - numeric) / std::max({1.0, std::abs(analytic), std::abs(numeric)});
+      const double error =
+          std::abs(analytic - numeric) / std::max({1.0, std::abs(analytic), std::abs(numeric)});
       if (!(error <= worst)) {
         worst = error;
         text.str("");
-        text << "input " << k << " element " << i << ": analytic " << analytic << ", numeric " << numeric
-             << ", rel. error " << error;
+        text << "input " << k << " element " << i << ": analytic " << analytic << ", numeric "
+             << numeric << ", rel. error " << error;
         report.ok = report.ok && error <= opt.tolerance;
       }
     }

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <cmath>
-
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/loss.h"
 #include "satsurf/ops/reduce.h"
+
+#include <cmath>
+
 #include "tests/affine_scene.h"
 #include "tests/gradcheck.h"
 
@@ -16,8 +17,9 @@ using namespace satsurf::test;
 namespace {
 
 nn::SceneInput hill(Index size = 32) {
-  return affine_scene(size, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}}, -6, 6,
-                      [](double x, double y) { return 2 * std::cos(0.3 * x) * std::cos(0.25 * y); });
+  return affine_scene(size, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}}, -6, 6, [](double x, double y) {
+    return 2 * std::cos(0.3 * x) * std::cos(0.25 * y);
+  });
 }
 
 /// Heights of all stages and the colours rendered into the first source, as one number.
@@ -26,9 +28,11 @@ BasicVar<T> objective(const nn::BasicModel<T>& model, const nn::SceneInput& scen
   const auto stages = model.forward(scene);
   BasicVar<T> total;
   for (const auto& stage : stages) {
-    const auto render = nn::render_view(stage.surfels, scene.sources[0].pixel_from_local, scene.sources[0].rgb.dim(1),
-                                        scene.sources[0].rgb.dim(2), stage.stride);
-    const BasicVar<T> term = mean(stage.height * stage.height) + mean(render.colour * render.colour) +
+    const auto render =
+        nn::render_view(stage.surfels, scene.sources[0].pixel_from_local,
+                        scene.sources[0].rgb.dim(1), scene.sources[0].rgb.dim(2), stage.stride);
+    const BasicVar<T> term = mean(stage.height * stage.height) +
+                             mean(render.colour * render.colour) +
                              affine(mean(render.height), T(0.1), T(0)) + mean(stage.confidence);
     total = total.empty() ? term : total + term;
   }
@@ -70,13 +74,15 @@ TEST_CASE("whole-model gradient in double") {
     }
   const auto scene = hill(16);
   const auto heights_only = [&] {
-    // Cut-offs of the splatter and the median make rendered maps discontinuous; its own tests check it smoothly.
+    // Cut-offs of the splatter and the median make rendered maps discontinuous; its own tests check
+    // it smoothly.
     const auto stages = model.forward(scene);
     BasicVar<double> total;
     for (const auto& s : stages) {
       const auto& g = s.surfels;
-      const BasicVar<double> term = mean(s.height * s.height) + mean(g.means * g.means) + mean(g.quats * g.quats) +
-                                    mean(g.scales) + mean(g.opacity) + mean(g.colours * g.colours);
+      const BasicVar<double> term = mean(s.height * s.height) + mean(g.means * g.means) +
+                                    mean(g.quats * g.quats) + mean(g.scales) + mean(g.opacity) +
+                                    mean(g.colours * g.colours);
       total = total.empty() ? term : total + term;
     }
     return total;
@@ -95,10 +101,11 @@ TEST_CASE("whole-model gradient in double") {
     const double down = heights_only().value().item();
     v.mutable_value()[i] = saved;
     const double numeric = (up - down) / (2 * h), analytic = v.grad()[i];
-    // Hypotheses of later stages follow the detached earlier heights: that path carries no gradient by design,
-    // so only parameters of the last stage can agree exactly.
+    // Hypotheses of later stages follow the detached earlier heights: that path carries no gradient
+    // by design, so only parameters of the last stage can agree exactly.
     if (!e.name.starts_with("stage3")) continue;
-    CHECK_MESSAGE(std::abs(numeric - analytic) < 1e-6 * std::max({1.0, std::abs(numeric), std::abs(analytic)}),
+    CHECK_MESSAGE(std::abs(numeric - analytic) <
+                      1e-6 * std::max({1.0, std::abs(numeric), std::abs(analytic)}),
                   e.name, " analytic ", analytic, " numeric ", numeric);
     ++checked;
   }
@@ -112,7 +119,8 @@ TEST_CASE("every parameter receives a gradient") {
     double sum = 0;
     for (const float g : e.var.grad().values()) sum += std::abs(static_cast<double>(g));
     // Only the layers above a zero-initialised one start without a gradient.
-    const bool behind_zero = e.name.find(".head.") != std::string::npos && e.name.find(".out.") == std::string::npos;
+    const bool behind_zero =
+        e.name.find(".head.") != std::string::npos && e.name.find(".out.") == std::string::npos;
     CHECK_MESSAGE((behind_zero || sum > 0), e.name);
   }
 }
@@ -135,7 +143,8 @@ TEST_CASE("one and two threads give the same bits") {
 TEST_CASE("the network learns the surface of one scene") {
   nn::Model model(nn::model_preset("tiny"), 1);
   nn::AdamW adam(model.parameters(), {});
-  const auto scene = affine_scene(32, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}}, -6, 6, [](double, double) { return 2.5; });
+  const auto scene = affine_scene(32, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}}, -6, 6,
+                                  [](double, double) { return 2.5; });
   double first = 0, last = 0;
   for (int step = 0; step < 60; ++step) {
     model.parameters().clear_grads();
@@ -156,9 +165,12 @@ TEST_CASE("the network learns the surface of one scene") {
 TEST_CASE("wrong inputs are refused by name") {
   const nn::Model model(nn::model_preset("tiny"), 1);
   auto scene = hill(24);
-  CHECK_THROWS_WITH_AS(model.forward(scene), "model: views are [3,24,24], expected multiples of 16", ShapeError);
+  CHECK_THROWS_WITH_AS(model.forward(scene), "model: views are [3,24,24], expected multiples of 16",
+                       ShapeError);
   scene = hill();
   scene.sources.resize(1);
-  CHECK_THROWS_WITH_AS(model.forward(scene), "model: 1 source views, expected two or more", ShapeError);
-  CHECK_THROWS_WITH_AS(nn::model_preset("huge"), "preset: 'huge', expected tiny, base8 or base16", ConfigError);
+  CHECK_THROWS_WITH_AS(model.forward(scene), "model: 1 source views, expected two or more",
+                       ShapeError);
+  CHECK_THROWS_WITH_AS(nn::model_preset("huge"), "preset: 'huge', expected tiny, base8 or base16",
+                       ConfigError);
 }

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <cmath>
-
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/blocks.h"
 #include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
+
+#include <cmath>
+
 #include "tests/affine_scene.h"
 #include "tests/gradcheck.h"
 
@@ -15,12 +16,14 @@ using namespace satsurf::test;
 TEST_CASE("parameters depend on seed and name alone") {
   nn::ParameterSet<float> a(7), b(7), c(8);
   a.create("first", {3}, nn::Init::kaiming(2), true);
-  const Var x = a.create("w", {4, 5}, nn::Init::kaiming(5), true), y = b.create("w", {4, 5}, nn::Init::kaiming(5), true),
+  const Var x = a.create("w", {4, 5}, nn::Init::kaiming(5), true),
+            y = b.create("w", {4, 5}, nn::Init::kaiming(5), true),
             z = c.create("w", {4, 5}, nn::Init::kaiming(5), true);
   CHECK(std::equal(x.value().values().begin(), x.value().values().end(), y.value().data()));
   CHECK_FALSE(std::equal(x.value().values().begin(), x.value().values().end(), z.value().data()));
   CHECK(a.count() == 23);
-  CHECK_THROWS_WITH_AS(a.create("w", {1}, nn::Init::constant(0), false), "ParameterSet: parameter w exists already", Error);
+  CHECK_THROWS_WITH_AS(a.create("w", {1}, nn::Init::constant(0), false),
+                       "ParameterSet: parameter w exists already", Error);
 }
 
 TEST_CASE("parameters are stored and loaded by name, and refused with a list") {
@@ -35,14 +38,16 @@ TEST_CASE("parameters are stored and loaded by name, and refused with a list") {
   for (Index i = 0; i < 4; ++i) CHECK(w.value()[i] == a.entries()[0].var.value()[i]);
   file.tensors["model.extra"] = Tensor({1});
   CHECK_THROWS_WITH_AS(other.load(file, "model.", "f"),
-                       "f: these parameters do not fit the model; missing v; of another shape w ([2,2], expected [4]); "
+                       "f: these parameters do not fit the model; missing v; of another shape w "
+                       "([2,2], expected [4]); "
                        "not in the model extra",
                        IoError);
 }
 
 TEST_CASE("AdamW follows the published recurrence") {
   nn::ParameterSet<float> p(0);
-  Var w = p.create("w", {1}, nn::Init::constant(1), true), b = p.create("b", {1}, nn::Init::constant(1), false);
+  Var w = p.create("w", {1}, nn::Init::constant(1), true),
+      b = p.create("b", {1}, nn::Init::constant(1), false);
   nn::AdamW adam(p, {.weight_decay = 0.1});
   double m = 0, v = 0, x = 1, y = 1;
   for (int t = 1; t <= 4; ++t) {
@@ -52,7 +57,8 @@ TEST_CASE("AdamW follows the published recurrence") {
     adam.step(0.01);
     m = 0.9 * m + 0.1 * g;
     v = 0.999 * v + 0.001 * g * g;
-    const double update = 0.01 * (m / (1 - std::pow(0.9, t))) / (std::sqrt(v / (1 - std::pow(0.999, t))) + 1e-8);
+    const double update =
+        0.01 * (m / (1 - std::pow(0.9, t))) / (std::sqrt(v / (1 - std::pow(0.999, t))) + 1e-8);
     x = x * (1 - 0.01 * 0.1) - update;
     y -= update;
     CHECK(w.value()[0] == doctest::Approx(x).epsilon(1e-6));
@@ -63,7 +69,8 @@ TEST_CASE("AdamW follows the published recurrence") {
 
 TEST_CASE("gradients are clipped to a global norm") {
   nn::ParameterSet<float> p(0);
-  Var a = p.create("a", {2}, nn::Init::constant(0), true), b = p.create("b", {1}, nn::Init::constant(0), true);
+  Var a = p.create("a", {2}, nn::Init::constant(0), true),
+      b = p.create("b", {1}, nn::Init::constant(0), true);
   a.mutable_grad() = Tensor::from({2}, {3.f, 0.f});
   b.mutable_grad() = Tensor::from({1}, {4.f});
   CHECK(nn::clip_gradient_norm(p, 10) == doctest::Approx(5));
@@ -76,14 +83,16 @@ TEST_CASE("one-cycle schedule") {
   CHECK(nn::one_cycle_lr(1, 0.1, 0, 101) == doctest::Approx(0.04));
   CHECK(nn::one_cycle_lr(1, 0.1, 10, 101) == doctest::Approx(1).epsilon(0.01));
   CHECK(nn::one_cycle_lr(1, 0.1, 100, 101) == doctest::Approx(1e-4).epsilon(0.01));
-  for (Index s = 11; s < 100; ++s) CHECK(nn::one_cycle_lr(1, 0.1, s + 1, 101) < nn::one_cycle_lr(1, 0.1, s, 101));
+  for (Index s = 11; s < 100; ++s)
+    CHECK(nn::one_cycle_lr(1, 0.1, s + 1, 101) < nn::one_cycle_lr(1, 0.1, s, 101));
 }
 
 TEST_CASE("blocks keep, halve and double sizes") {
   nn::ParameterSet<double> p(0);
   const BasicVar<double> x(normal({2, 3, 8, 12}, 1)), v(normal({1, 4, 4, 8, 6}, 2));
   CHECK(nn::Conv2d<double>(p, "a", 3, 5, 3)(x).shape() == Shape{2, 5, 8, 12});
-  CHECK(nn::ConvNorm2d<double>(p, "b", 3, 4, 4, 2, Activation::relu)(x).shape() == Shape{2, 4, 4, 6});
+  CHECK(nn::ConvNorm2d<double>(p, "b", 3, 4, 4, 2, Activation::relu)(x).shape() ==
+        Shape{2, 4, 4, 6});
   CHECK(nn::ConvNorm3d<double>(p, "c", 4, 8, 2)(v).shape() == Shape{1, 8, 2, 4, 3});
   CHECK(nn::UpNorm3d<double>(p, "d", 4, 2)(v).shape() == Shape{1, 2, 8, 16, 12});
   CHECK(nn::norm_groups(64) == 8);
@@ -99,7 +108,8 @@ TEST_CASE("hypotheses") {
   const auto centre = BasicTensor<double>::from({1, 1, 3}, {0.0, -4.9, 8.9});
   const auto narrow = nn::narrowed_hypotheses(centre, 0.5, 4, -5.0, 9.0);
   for (Index i = 0; i < 3; ++i) {
-    for (Index d = 0; d < 3; ++d) CHECK(narrow[(d + 1) * 3 + i] - narrow[d * 3 + i] == doctest::Approx(0.5));
+    for (Index d = 0; d < 3; ++d)
+      CHECK(narrow[(d + 1) * 3 + i] - narrow[d * 3 + i] == doctest::Approx(0.5));
     CHECK(narrow[i] >= -5);
     CHECK(narrow[9 + i] <= 9);
   }
@@ -108,25 +118,29 @@ TEST_CASE("hypotheses") {
 }
 
 TEST_CASE("surfels of pixels: gradients and meaning") {
-  const auto scene = affine_scene(8, {{0.6, 0.2}, {-0.5, 0.3}}, -4, 4, [](double, double) { return 0.0; });
+  const auto scene =
+      affine_scene(8, {{0.6, 0.2}, {-0.5, 0.3}}, -4, 4, [](double, double) { return 0.0; });
   std::vector<nn::PixelGeometry> geometry;
   for (const auto& v : scene.sources) geometry.push_back(nn::pixel_geometry(v, 0, 4));
-  const auto raw = normal({2, 10, 2, 2}, 3, 0.3), height = normal({2, 2, 2}, 4), conf = normal({2, 2, 2}, 5);
+  const auto raw = normal({2, 10, 2, 2}, 3, 0.3), height = normal({2, 2, 2}, 4),
+             conf = normal({2, 2, 2}, 5);
   const auto image = normal({2, 3, 2, 2}, 6);
   for (const bool residual : {true, false}) {
     CAPTURE(residual);
     CHECK(gradcheck(
         [&](const DoubleVars& v) {
           const auto s = nn::surfels_from_maps(v[0], v[1], image, v[2], geometry, residual);
-          return concat<double>({s.means, s.quats, s.scales, reshape(s.opacity, Shape{8, 1}), s.colours, s.aux}, 1);
+          return concat<double>(
+              {s.means, s.quats, s.scales, reshape(s.opacity, Shape{8, 1}), s.colours, s.aux}, 1);
         },
         {raw, height, conf}));
   }
-  const auto s = nn::surfels_from_maps(BasicVar<double>(raw), BasicVar<double>(height), image, BasicVar<double>(conf),
-                                       geometry, true);
+  const auto s = nn::surfels_from_maps(BasicVar<double>(raw), BasicVar<double>(height), image,
+                                       BasicVar<double>(conf), geometry, true);
   for (Index i = 0; i < 8; ++i) {  // a surfel's centre projects onto its own pixel
     const double* m = s.means.value().data() + 3 * i;
-    const auto p = rescale_pixels(scene.sources[static_cast<std::size_t>(i / 4)].pixel_from_local, 1, 4)(m[0], m[1], m[2]);
+    const auto p = rescale_pixels(scene.sources[static_cast<std::size_t>(i / 4)].pixel_from_local,
+                                  1, 4)(m[0], m[1], m[2]);
     CHECK(p[0] == doctest::Approx(static_cast<double>(i % 2)).epsilon(1e-9));
     CHECK(p[1] == doctest::Approx(static_cast<double>(i / 2 % 2)).epsilon(1e-9));
   }

@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/dataset.h"
-
 #include "satsurf/train/reconstruct.h"
 #include "satsurf/train/simulate/scene.h"
-#include "tests/temp_folder.h"
 
 #include <cmath>
 #include <fstream>
 
+#include "tests/temp_folder.h"
 #include <doctest/doctest.h>
 
 using namespace satsurf;
@@ -45,7 +44,8 @@ TEST_CASE("a simulated scene comes back from its files") {
     CHECK(std::hypot(a.x - b.x, a.y - b.y) < 1e-6);
   }
   // The same ground under both frames: absolute position and height of the truth's first cell.
-  const double east = scene.truth->x0 + scene.frame.easting0, made_east = made.dsm.x0 + made.frame.easting0;
+  const double east = scene.truth->x0 + scene.frame.easting0,
+               made_east = made.dsm.x0 + made.frame.easting0;
   CHECK(east == doctest::Approx(made_east).epsilon(1e-12));
   CHECK(static_cast<double>(scene.truth->z[0]) + scene.frame.h0 ==
         doctest::Approx(static_cast<double>(made.dsm.z[0]) + made.frame.h0).epsilon(1e-5));
@@ -55,7 +55,8 @@ TEST_CASE("a crop's cameras, pixels and true heights agree") {
   const TempFolder folder("dataset-2");
   write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
   const Scene scene = load_scene(folder.path(), "SIM_001");
-  const Crop crop = make_crop(scene, {0, 2}, Index{3}, 0, 0, 0, 64, scene.z_low, scene.z_high, true);
+  const Crop crop =
+      make_crop(scene, {0, 2}, Index{3}, 0, 0, 0, 64, scene.z_low, scene.z_high, true);
   REQUIRE(crop.input.sources.size() == 2);
   REQUIRE(crop.target.has_value());
   REQUIRE(crop.source_truth.size() == 3);
@@ -74,11 +75,13 @@ TEST_CASE("a crop's cameras, pixels and true heights agree") {
     CHECK(std::hypot(other[0] - seen[0], other[1] - seen[1]) < 5e-3);
     // the truth under that point is the height the ray stopped at
     const HeightField& t = *scene.truth;
-    const Index j = static_cast<Index>((ground[0] - t.x0) / t.step), i = static_cast<Index>((t.y0 - ground[1]) / t.step);
+    const Index j = static_cast<Index>((ground[0] - t.x0) / t.step),
+                i = static_cast<Index>((t.y0 - ground[1]) / t.step);
     float nearest = INFINITY;
     for (Index di = -1; di <= 1; ++di)
       for (Index dj = -1; dj <= 1; ++dj)
-        nearest = std::min(nearest, std::abs(t.z[(i + di) * t.z.dim(1) + j + dj] - static_cast<float>(z)));
+        nearest = std::min(nearest,
+                           std::abs(t.z[(i + di) * t.z.dim(1) + j + dj] - static_cast<float>(z)));
     CHECK(nearest < 0.5f);
   }
 }
@@ -87,7 +90,8 @@ TEST_CASE("pixels outside an image are invalid") {
   const TempFolder folder("dataset-3");
   write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
   const Scene scene = load_scene(folder.path(), "SIM_001");
-  const Crop crop = make_crop(scene, {0, 1}, std::nullopt, 0, 0, 0, 128, scene.z_low, scene.z_high, false);
+  const Crop crop =
+      make_crop(scene, {0, 1}, std::nullopt, 0, 0, 0, 128, scene.z_low, scene.z_high, false);
   const Tensor& valid = crop.input.sources[0].valid;
   CHECK(valid[0] == 0);
   CHECK(valid[64 * 128 + 64] == 1);
@@ -101,8 +105,10 @@ TEST_CASE("pixels outside an image are invalid") {
 
 TEST_CASE("folders that are no data sets are refused") {
   const TempFolder folder("dataset-4");
-  CHECK_THROWS_WITH_AS(list_scenes(folder.path() / "nowhere"),
-                       ((folder.path() / "nowhere").string() + ": no such folder, expected a data set").c_str(), IoError);
+  CHECK_THROWS_WITH_AS(
+      list_scenes(folder.path() / "nowhere"),
+      ((folder.path() / "nowhere").string() + ": no such folder, expected a data set").c_str(),
+      IoError);
   CHECK_THROWS_AS(list_scenes(folder.path()), IoError);
   std::filesystem::create_directories(folder.path() / "Track3-RGB");
   CHECK_THROWS_AS(list_scenes(folder.path()), IoError);
@@ -119,7 +125,8 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
     scene.views.push_back({"v", v.rgb, Tensor({192, 192}, 1.f), v.rpc, 0, 0, ""});
   const double low = made.h_min - made.frame.h0, high = made.h_max - made.frame.h0;
   const auto [found_low, found_high] = find_height_range(scene, low - 300, high + 300);
-  CHECK(found_low < low + 8);  // percentiles may miss the deepest corner, the margin covers most of it
+  CHECK(found_low <
+        low + 8);  // percentiles may miss the deepest corner, the margin covers most of it
   CHECK(found_high > low);
   CHECK(found_high - found_low < high - low + 80);
   CHECK_THROWS_AS(find_height_range(scene, high + 400, high + 700), Error);

@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/train/trainer.h"
-
 #include "satsurf/core/parallel.h"
 #include "satsurf/train/loss.h"
 #include "satsurf/train/simulate/scene.h"
-#include "tests/temp_folder.h"
+#include "satsurf/train/trainer.h"
 
 #include <cmath>
 #include <fstream>
 #include <iterator>
 
+#include "tests/temp_folder.h"
 #include <doctest/doctest.h>
 
 using namespace satsurf;
@@ -42,7 +41,8 @@ const std::filesystem::path& data() {
     c.pixels = 64;
     c.views = 4;
     c.gsd = 0.5;
-    for (Index i = 0; i < 2; ++i) write_scene(simulate_scene(c, 21, i), folder.path(), "SIM_00" + std::to_string(i + 1));
+    for (Index i = 0; i < 2; ++i)
+      write_scene(simulate_scene(c, 21, i), folder.path(), "SIM_00" + std::to_string(i + 1));
     return true;
   }();
   REQUIRE(made);
@@ -111,15 +111,17 @@ TEST_CASE("a model comes back from its file, configuration included") {
   const nn::Model loaded = load_model(folder.path() / "m.safetensors");
   CHECK(loaded.config() == model.config());
   for (std::size_t k = 0; k < model.parameters().entries().size(); ++k) {
-    const Tensor &a = model.parameters().entries()[k].var.value(), &b = loaded.parameters().entries()[k].var.value();
+    const Tensor &a = model.parameters().entries()[k].var.value(),
+                 &b = loaded.parameters().entries()[k].var.value();
     REQUIRE(std::equal(a.values().begin(), a.values().end(), b.data()));
   }
   save_safetensors(folder.path() / "other.safetensors", TensorFile());
-  CHECK_THROWS_WITH_AS(load_model(folder.path() / "other.safetensors"),
-                       ((folder.path() / "other.safetensors").string() +
-                        ": not a satsurf model, expected metadata format = satsurf-1 and its configuration")
-                           .c_str(),
-                       IoError);
+  CHECK_THROWS_WITH_AS(
+      load_model(folder.path() / "other.safetensors"),
+      ((folder.path() / "other.safetensors").string() +
+       ": not a satsurf model, expected metadata format = satsurf-1 and its configuration")
+          .c_str(),
+      IoError);
 }
 
 TEST_CASE("samples are a function of seed and step, and loss terms of their switches") {
@@ -138,13 +140,15 @@ TEST_CASE("samples are a function of seed and step, and loss terms of their swit
   const auto stages = model.forward(a.input);
   const double all = static_cast<double>(training_loss(config, stages, a).total.value().item());
   config.colour_weight = 0;
-  const double no_colour = static_cast<double>(training_loss(config, stages, a).total.value().item());
+  const double no_colour =
+      static_cast<double>(training_loss(config, stages, a).total.value().item());
   config.render_height_weight = 0;
   const double heights = static_cast<double>(training_loss(config, stages, a).total.value().item());
   CHECK(all > no_colour);
   CHECK(no_colour > heights);
   config.height_weight = 2;
-  CHECK(static_cast<double>(training_loss(config, stages, a).total.value().item()) == doctest::Approx(2 * heights));
+  CHECK(static_cast<double>(training_loss(config, stages, a).total.value().item()) ==
+        doctest::Approx(2 * heights));
 }
 
 TEST_CASE("resuming with another configuration or seed is refused") {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <nlohmann/json.hpp>
-
 #include "satsurf/core/fields_json.h"
 #include "satsurf/train/trainer.h"
+
+#include <nlohmann/json.hpp>
 
 namespace satsurf::train {
 namespace {
@@ -21,7 +21,8 @@ void store_model(TensorFile& file, const nn::Model& model) {
 nn::Model model_from(const TensorFile& file, const std::string& where) {
   const auto format = file.metadata.find("format"), config = file.metadata.find("model");
   if (format == file.metadata.end() || format->second != kFormat || config == file.metadata.end())
-    throw IoError(where + ": not a satsurf model, expected metadata format = " + kFormat + " and its configuration");
+    throw IoError(where + ": not a satsurf model, expected metadata format = " + kFormat +
+                  " and its configuration");
   nn::ModelConfig c;
   try {
     from_json(parse_json(config->second, where), c, where);
@@ -33,7 +34,9 @@ nn::Model model_from(const TensorFile& file, const std::string& where) {
   return model;
 }
 
-nn::Model load_model(const std::filesystem::path& path) { return model_from(load_safetensors(path), path.string()); }
+nn::Model load_model(const std::filesystem::path& path) {
+  return model_from(load_safetensors(path), path.string());
+}
 
 void save_model(const std::filesystem::path& path, const nn::Model& model) {
   TensorFile file;

@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/dataset.h"
 
+#include "satsurf/core/parallel.h"
+#include "satsurf/rpc/raster.h"
+#include "satsurf/rpc/read.h"
+
 #include <algorithm>
 #include <cmath>
 #include <map>
 #include <set>
-
-#include "satsurf/core/parallel.h"
-#include "satsurf/rpc/raster.h"
-#include "satsurf/rpc/read.h"
 
 namespace satsurf::train {
 namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kTruthMargin = 5;  // m added to a DSM's own range: parapets and cells it does not cover
+constexpr double kTruthMargin =
+    5;  // m added to a DSM's own range: parapets and cells it does not cover
 
 /// Where a data set keeps images, cameras (may be empty: RPC tags then) and truth.
 struct Layout {
@@ -31,8 +32,10 @@ std::optional<Layout> layout_of(const fs::path& folder, const std::string& scene
 }
 
 [[noreturn]] void no_layout(const fs::path& folder) {
-  throw IoError(folder.string() + ": not a data set, expected Track3-RGB/ and Track3-Truth/ (simulate, DFC2019) or images/, "
-                "rpcs/ and truth/ (EOGS)");
+  throw IoError(
+      folder.string() +
+      ": not a data set, expected Track3-RGB/ and Track3-Truth/ (simulate, DFC2019) or images/, "
+      "rpcs/ and truth/ (EOGS)");
 }
 
 /// JAX_068_012_RGB.tif -> JAX_068; empty if the name has another form.
@@ -46,7 +49,8 @@ std::vector<fs::path> files_of(const fs::path& folder, const std::vector<std::st
   std::vector<fs::path> files;
   if (!fs::is_directory(folder)) return files;
   for (const auto& entry : fs::directory_iterator(folder))
-    if (std::find(extensions.begin(), extensions.end(), entry.path().extension()) != extensions.end())
+    if (std::find(extensions.begin(), extensions.end(), entry.path().extension()) !=
+        extensions.end())
       files.push_back(entry.path());
   std::sort(files.begin(), files.end());
   return files;
@@ -55,7 +59,8 @@ std::vector<fs::path> files_of(const fs::path& folder, const std::vector<std::st
 /// [a, b) of a window clipped to [0, n).
 Tensor cut(const Tensor& image, Index x0, Index y0, Index size) {
   const bool planes = image.rank() == 3;
-  const Index C = planes ? image.dim(0) : 1, H = image.dim(planes ? 1 : 0), W = image.dim(planes ? 2 : 1);
+  const Index C = planes ? image.dim(0) : 1, H = image.dim(planes ? 1 : 0),
+              W = image.dim(planes ? 2 : 1);
   Tensor out(planes ? Shape{C, size, size} : Shape{size, size});
   const Index x_begin = std::max<Index>(0, -x0), x_end = std::min(size, W - x0);
   for (Index c = 0; c < C; ++c)
@@ -80,18 +85,21 @@ std::pair<double, double> finite_range(const Tensor& z) {
 }  // namespace
 
 std::vector<std::string> list_scenes(const fs::path& folder) {
-  if (!fs::is_directory(folder)) throw IoError(folder.string() + ": no such folder, expected a data set");
+  if (!fs::is_directory(folder))
+    throw IoError(folder.string() + ": no such folder, expected a data set");
   std::set<std::string> names;
   if (fs::is_directory(folder / "Track3-RGB")) {
     for (const fs::path& f : files_of(folder / "Track3-RGB", {".tif", ".tiff"}))
-      if (const std::string scene = scene_of(f.stem().string()); !scene.empty()) names.insert(scene);
+      if (const std::string scene = scene_of(f.stem().string()); !scene.empty())
+        names.insert(scene);
   } else if (fs::is_directory(folder / "images")) {
     for (const auto& entry : fs::directory_iterator(folder / "images"))
       if (entry.is_directory()) names.insert(entry.path().filename().string());
   } else {
     no_layout(folder);
   }
-  if (names.empty()) throw IoError(folder.string() + ": holds no scenes, expected images named SCENE_001_RGB.tif");
+  if (names.empty())
+    throw IoError(folder.string() + ": holds no scenes, expected images named SCENE_001_RGB.tif");
   return {names.begin(), names.end()};
 }
 
@@ -105,8 +113,9 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
   for (const fs::path& file : files_of(layout->images, {".tif", ".tiff"})) {
     if (layout->cameras.empty() && scene_of(file.stem().string()) != name) continue;
     const fs::path camera = layout->cameras / (file.stem().string() + ".json");
-    const rpc::Image image =
-        !layout->cameras.empty() && fs::exists(camera) ? rpc::open_view(camera, {layout->images}) : rpc::open_view(file, {});
+    const rpc::Image image = !layout->cameras.empty() && fs::exists(camera)
+                                 ? rpc::open_view(camera, {layout->images})
+                                 : rpc::open_view(file, {});
     SceneView view;
     view.name = file.stem().string();
     view.rgb = rpc::to_rgb(image);
@@ -121,21 +130,26 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
     }
     scene.views.push_back(std::move(view));
   }
-  if (scene.views.empty()) throw IoError((folder / name).string() + ": no images, expected " + name + "_*_RGB.tif");
+  if (scene.views.empty())
+    throw IoError((folder / name).string() + ": no images, expected " + name + "_*_RGB.tif");
 
-  const auto centre = scene.views[0].rpc.localize({static_cast<double>(scene.views[0].rgb.dim(2)) / 2,
-                                                   static_cast<double>(scene.views[0].rgb.dim(1)) / 2},
-                                                  scene.views[0].rpc.height_off);
+  const auto centre =
+      scene.views[0].rpc.localize({static_cast<double>(scene.views[0].rgb.dim(2)) / 2,
+                                   static_cast<double>(scene.views[0].rgb.dim(1)) / 2},
+                                  scene.views[0].rpc.height_off);
   scene.frame.zone = rpc::utm_zone_of(centre.lon, centre.lat);
 
-  const fs::path dsm = layout->truth / (name + "_DSM.tif"), classes = layout->truth / (name + "_CLS.tif");
+  const fs::path dsm = layout->truth / (name + "_DSM.tif"),
+                 classes = layout->truth / (name + "_CLS.tif");
   if (fs::exists(dsm)) {
     const rpc::GeoRaster raster = rpc::read_geo_raster(dsm, scene.frame.zone);
     const auto [z_min, z_max] = finite_range(raster.values);
-    if (std::isnan(z_min)) throw IoError(dsm.string() + ": no finite height, expected a surface model");
+    if (std::isnan(z_min))
+      throw IoError(dsm.string() + ": no finite height, expected a surface model");
     low = z_min - kTruthMargin;
     high = z_max + kTruthMargin;
-    const Index H = raster.values.dim(raster.values.rank() - 2), W = raster.values.dim(raster.values.rank() - 1);
+    const Index H = raster.values.dim(raster.values.rank() - 2),
+                W = raster.values.dim(raster.values.rank() - 1);
     const double step = raster.grid.step;
     scene.frame.easting0 = std::round(raster.grid.x0 + step * static_cast<double>(W) / 2);
     scene.frame.northing0 = std::round(raster.grid.y0 - step * static_cast<double>(H) / 2);
@@ -146,7 +160,8 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
     scene.truth = std::move(truth);
     if (fs::exists(classes)) {
       const rpc::GeoRaster c = rpc::read_geo_raster(classes, scene.frame.zone);
-      scene.classes = c.values.reshaped({c.values.dim(c.values.rank() - 2), c.values.dim(c.values.rank() - 1)});
+      scene.classes =
+          c.values.reshaped({c.values.dim(c.values.rank() - 2), c.values.dim(c.values.rank() - 1)});
     }
   } else {
     const auto utm = rpc::utm_from_geodetic(scene.frame.zone, centre.lon, centre.lat);
@@ -161,8 +176,9 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
   return scene;
 }
 
-Crop make_crop(const Scene& scene, const std::vector<Index>& sources, std::optional<Index> target, double x, double y,
-               double z, Index size, double z_low, double z_high, bool with_truth) {
+Crop make_crop(const Scene& scene, const std::vector<Index>& sources, std::optional<Index> target,
+               double x, double y, double z, Index size, double z_low, double z_high,
+               bool with_truth) {
   const rpc::Geodetic centre = scene.frame.geodetic_from_local({x, y, z});
   const rpc::HeightRange range{z_low + scene.frame.h0, z_high + scene.frame.h0};
   const rpc::Window window{0, 0, static_cast<double>(size), static_cast<double>(size)};
@@ -191,16 +207,20 @@ Crop make_crop(const Scene& scene, const std::vector<Index>& sources, std::optio
   crop.input.transfer.assign(N, std::vector<Quadratic>(N));
   for_each_index(static_cast<Index>(N * N), [&](Index k) {
     const auto i = static_cast<std::size_t>(k) / N, j = static_cast<std::size_t>(k) % N;
-    if (i != j) crop.input.transfer[i][j] = rpc::fit_transfer(cameras[i], cameras[j], scene.frame, window, range);
+    if (i != j)
+      crop.input.transfer[i][j] =
+          rpc::fit_transfer(cameras[i], cameras[j], scene.frame, window, range);
   });
   if (with_truth && scene.truth) {
     for (const Index stride : {Index{4}, Index{2}, Index{1}}) {
       auto& stage = crop.source_truth.emplace_back();
       for (std::size_t i = 0; i < N; ++i)
-        stage.push_back(heights_in_view(*scene.truth, rescale_pixels(views[i].local_from_pixel, static_cast<double>(stride), 1),
-                                        size / stride, size / stride));
+        stage.push_back(heights_in_view(
+            *scene.truth, rescale_pixels(views[i].local_from_pixel, static_cast<double>(stride), 1),
+            size / stride, size / stride));
     }
-    if (target) crop.target_truth = heights_in_view(*scene.truth, views[N].local_from_pixel, size, size);
+    if (target)
+      crop.target_truth = heights_in_view(*scene.truth, views[N].local_from_pixel, size, size);
   }
   if (target) crop.target = std::move(views[N]);
   views.resize(N);

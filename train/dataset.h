@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <filesystem>
-#include <optional>
-#include <string>
-#include <vector>
-
 #include "satsurf/core/rng.h"
 #include "satsurf/nn/scene.h"
 #include "satsurf/rpc/fit.h"
 #include "satsurf/train/raycast.h"
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
 
 namespace satsurf::train {
 
@@ -33,7 +33,8 @@ struct Scene {
   double z_low = 0, z_high = 0;      ///< height range in the local frame, m
 };
 
-/// Scenes of a folder: the layout `simulate` writes, DFC2019 Track 3 (`Track3-RGB`, `Track3-Truth`) or EOGS
+/// Scenes of a folder: the layout `simulate` writes, DFC2019 Track 3 (`Track3-RGB`, `Track3-Truth`)
+/// or EOGS
 /// (`images`, `rpcs`, `truth`). Scenes come sorted by name. throws IoError
 std::vector<std::string> list_scenes(const std::filesystem::path& folder);
 Scene load_scene(const std::filesystem::path& folder, const std::string& name);
@@ -42,14 +43,16 @@ Scene load_scene(const std::filesystem::path& folder, const std::string& name);
 struct Crop {
   nn::SceneInput input;
   std::optional<nn::View> target;  ///< the view to be rendered, not among the sources
-  /// True heights of source views, [stage][view] -> [h w], local z in m, NaN where unknown. Empty without truth.
+  /// True heights of source views, [stage][view] -> [h w], local z in m, NaN where unknown. Empty
+  /// without truth.
   std::vector<std::vector<Tensor>> source_truth;
   Tensor target_truth;  ///< [H W], or empty
 };
 
-/// Cuts windows of `size` pixels (a multiple of the network's) centred on local (x, y) at height z from the
-/// source views and, if given, from `target`. Pixels outside an image are invalid.
-Crop make_crop(const Scene& scene, const std::vector<Index>& sources, std::optional<Index> target, double x,
-               double y, double z, Index size, double z_low, double z_high, bool with_truth);
+/// Cuts windows of `size` pixels (a multiple of the network's) centred on local (x, y) at height z
+/// from the source views and, if given, from `target`. Pixels outside an image are invalid.
+Crop make_crop(const Scene& scene, const std::vector<Index>& sources, std::optional<Index> target,
+               double x, double y, double z, Index size, double z_low, double z_high,
+               bool with_truth);
 
 }  // namespace satsurf::train

@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <algorithm>
-#include <cmath>
-
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/train/reconstruct.h"
 
+#include <algorithm>
+#include <cmath>
+
 namespace satsurf::train {
 namespace {
 
-constexpr Index kCoarse = 256;        // px, side of the images of the sweep
-constexpr Index kRadius = 3;          // px, half a correlation window
-constexpr double kAgreement = 0.75;   // correlation from which a match counts
-constexpr double kUnique = 0.1;       // by which the best height must beat every other peak
-constexpr Index kNeighbours = 5;      // of eight, that must have found nearly the same height
-constexpr double kMargin = 15;        // m, added to the percentiles: roofs and gullies smaller than a coarse window
-constexpr Index kFewest = 100;        // matches that make a range believable
+constexpr Index kCoarse = 256;       // px, side of the images of the sweep
+constexpr Index kRadius = 3;         // px, half a correlation window
+constexpr double kAgreement = 0.75;  // correlation from which a match counts
+constexpr double kUnique = 0.1;      // by which the best height must beat every other peak
+constexpr Index kNeighbours = 5;     // of eight, that must have found nearly the same height
+constexpr double kMargin =
+    15;  // m, added to the percentiles: roofs and gullies smaller than a coarse window
+constexpr Index kFewest = 100;  // matches that make a range believable
 
 /// Luminance at coarse resolution.
 struct Coarse {
@@ -33,14 +34,17 @@ Coarse coarse_of(const SceneView& view, Index factor) {
       grey[y * w + x] = (view.rgb[i] + view.rgb[P + i] + view.rgb[2 * P + i]) / 3;
       valid[y * w + x] = view.valid[i];
     }
-  return {area_downsample(Var(grey), factor).value(), area_downsample(Var(valid), factor).value(), factor};
+  return {area_downsample(Var(grey), factor).value(), area_downsample(Var(valid), factor).value(),
+          factor};
 }
 
 /// Sums over (2 r + 1)^2 windows by running sums; windows are cut at the border.
 Tensor box_sum(const Tensor& t) {
   const Index H = t.dim(0), W = t.dim(1);
   std::vector<double> integral(static_cast<std::size_t>((H + 1) * (W + 1)), 0);
-  const auto at = [&](Index y, Index x) -> double& { return integral[static_cast<std::size_t>(y * (W + 1) + x)]; };
+  const auto at = [&](Index y, Index x) -> double& {
+    return integral[static_cast<std::size_t>(y * (W + 1) + x)];
+  };
   for (Index y = 0; y < H; ++y)
     for (Index x = 0; x < W; ++x)
       at(y + 1, x + 1) = static_cast<double>(t[y * W + x]) + at(y, x + 1) + at(y + 1, x) - at(y, x);
@@ -63,9 +67,12 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
     const auto q = b_from_a(static_cast<double>(i % W), static_cast<double>(i / W), z);
     const Index x = static_cast<Index>(std::floor(q[0])), y = static_cast<Index>(std::floor(q[1]));
     if (x < 0 || y < 0 || x + 1 >= w || y + 1 >= h || b.valid[y * w + x] < 1) continue;
-    const float fx = static_cast<float>(q[0]) - static_cast<float>(x), fy = static_cast<float>(q[1]) - static_cast<float>(y);
+    const float fx = static_cast<float>(q[0]) - static_cast<float>(x),
+                fy = static_cast<float>(q[1]) - static_cast<float>(y);
     const float* p = b.grey.data() + y * w + x;
-    const float vb = (1 - fy) * ((1 - fx) * p[0] + fx * p[1]) + fy * ((1 - fx) * p[w] + fx * p[w + 1]), va = a.grey[i];
+    const float vb = (1 - fy) * ((1 - fx) * p[0] + fx * p[1]) +
+                     fy * ((1 - fx) * p[w] + fx * p[w + 1]),
+                va = a.grey[i];
     n[i] = 1;
     sa[i] = va;
     sb[i] = vb;
@@ -73,12 +80,15 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
     sbb[i] = vb * vb;
     sab[i] = va * vb;
   }
-  n = box_sum(n), sa = box_sum(sa), sb = box_sum(sb), saa = box_sum(saa), sbb = box_sum(sbb), sab = box_sum(sab);
+  n = box_sum(n), sa = box_sum(sa), sb = box_sum(sb), saa = box_sum(saa), sbb = box_sum(sbb),
+  sab = box_sum(sab);
   Tensor out({H, W}, -1.f);
-  constexpr float kArea = (2 * kRadius + 1) * (2 * kRadius + 1), kTexture = 1e-5f;  // variance of a flat window
+  constexpr float kArea = (2 * kRadius + 1) * (2 * kRadius + 1),
+                  kTexture = 1e-5f;  // variance of a flat window
   for (Index i = 0; i < H * W; ++i) {
     if (n[i] < 0.9f * kArea) continue;
-    const float ma = sa[i] / n[i], mb = sb[i] / n[i], va = saa[i] / n[i] - ma * ma, vb = sbb[i] / n[i] - mb * mb;
+    const float ma = sa[i] / n[i], mb = sb[i] / n[i], va = saa[i] / n[i] - ma * ma,
+                vb = sbb[i] / n[i] - mb * mb;
     if (va < kTexture || vb < kTexture) continue;
     out[i] = (sab[i] / n[i] - ma * mb) / std::sqrt(va * vb);
   }
@@ -88,8 +98,9 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
 }  // namespace
 
 std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high) {
-  if (!(z_high > z_low)) throw ConfigError("height range: " + std::to_string(z_low) + " to " + std::to_string(z_high) +
-                                           " m, expected a positive span to search");
+  if (!(z_high > z_low))
+    throw ConfigError("height range: " + std::to_string(z_low) + " to " + std::to_string(z_high) +
+                      " m, expected a positive span to search");
   Index largest = 0;
   for (const SceneView& v : scene.views) largest = std::max({largest, v.rgb.dim(1), v.rgb.dim(2)});
   const Index factor = std::max<Index>(1, (largest + kCoarse - 1) / kCoarse);
@@ -97,29 +108,37 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
   for (const SceneView& v : scene.views) coarse.push_back(coarse_of(v, factor));
 
   const SceneView& reference = scene.views[0];
-  const rpc::Window window{0, 0, static_cast<double>(reference.rgb.dim(2)), static_cast<double>(reference.rgb.dim(1))};
+  const rpc::Window window{0, 0, static_cast<double>(reference.rgb.dim(2)),
+                           static_cast<double>(reference.rgb.dim(1))};
   const rpc::HeightRange range{z_low + scene.frame.h0, z_high + scene.frame.h0};
   const double f = static_cast<double>(factor);
   std::vector<Quadratic> maps;
   double parallax = 0;  // coarse px per m, the largest of all views
   for (std::size_t j = 1; j < scene.views.size(); ++j) {
-    maps.push_back(rescale_pixels(rpc::fit_transfer(reference.rpc, scene.views[j].rpc, scene.frame, window, range), f, f));
-    const auto jac = maps.back().jacobian(window.width / 2 / f, window.height / 2 / f, 0.5 * (z_low + z_high));
+    maps.push_back(rescale_pixels(
+        rpc::fit_transfer(reference.rpc, scene.views[j].rpc, scene.frame, window, range), f, f));
+    const auto jac =
+        maps.back().jacobian(window.width / 2 / f, window.height / 2 / f, 0.5 * (z_low + z_high));
     parallax = std::max(parallax, std::hypot(jac[0][2], jac[1][2]));
   }
-  constexpr double kStepPx = 0.75;  // disparity between tried heights; correlation survives half of it
+  constexpr double kStepPx =
+      0.75;  // disparity between tried heights; correlation survives half of it
   const double span = z_high - z_low;
   const Index steps = std::clamp<Index>(static_cast<Index>(span * parallax / kStepPx) + 1, 8, 2000);
 
   const Index P = coarse[0].grey.count();
   Tensor best({P}, -1.f), rival({P}, -1.f), where({P}, 0.f);
-  const double peak = 3 * span / static_cast<double>(steps);  // heights this close belong to one peak
-  // Pieces of rows would need the box sums' neighbours: parallel over heights instead, merged in order.
+  const double peak =
+      3 * span / static_cast<double>(steps);  // heights this close belong to one peak
+  // Pieces of rows would need the box sums' neighbours: parallel over heights instead, merged in
+  // order.
   constexpr Index kBatch = 16;
   for (Index first = 0; first < steps; first += kBatch) {
     const Index batch = std::min(kBatch, steps - first);
     std::vector<Tensor> score(static_cast<std::size_t>(batch));
-    const auto height = [&](Index k) { return z_low + span * (static_cast<double>(first + k) + 0.5) / static_cast<double>(steps); };
+    const auto height = [&](Index k) {
+      return z_low + span * (static_cast<double>(first + k) + 0.5) / static_cast<double>(steps);
+    };
     for_each_index(batch, [&](Index k) {
       Tensor sum({P}), count({P});
       for (std::size_t j = 0; j < maps.size(); ++j) {
@@ -154,16 +173,20 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
       if (best[i] < kAgreement || best[i] - rival[i] < kUnique) continue;
       Index alike = -1;  // not the window itself
       for (Index dy = -1; dy <= 1; ++dy)
-        for (Index dx = -1; dx <= 1; ++dx) alike += std::abs(where[i + dy * W + dx] - where[i]) <= peak ? 1 : 0;
+        for (Index dx = -1; dx <= 1; ++dx)
+          alike += std::abs(where[i + dy * W + dx] - where[i]) <= peak ? 1 : 0;
       if (alike >= kNeighbours) heights.push_back(where[i]);
     }
   if (static_cast<Index>(heights.size()) < kFewest)
-    throw Error("height range: only " + std::to_string(heights.size()) + " windows of the images agree anywhere between " +
-                std::to_string(z_low + scene.frame.h0) + " and " + std::to_string(z_high + scene.frame.h0) +
-                " m, expected " + std::to_string(kFewest) + "; give --height-range LOW HIGH");
+    throw Error("height range: only " + std::to_string(heights.size()) +
+                " windows of the images agree anywhere between " +
+                std::to_string(z_low + scene.frame.h0) + " and " +
+                std::to_string(z_high + scene.frame.h0) + " m, expected " +
+                std::to_string(kFewest) + "; give --height-range LOW HIGH");
   std::sort(heights.begin(), heights.end());
   const auto percentile = [&](double q) {
-    return static_cast<double>(heights[static_cast<std::size_t>(q * static_cast<double>(heights.size() - 1))]);
+    return static_cast<double>(
+        heights[static_cast<std::size_t>(q * static_cast<double>(heights.size() - 1))]);
   };
   return {percentile(0.01) - kMargin, percentile(0.99) + kMargin};
 }

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/loss.h"
 
-#include <cmath>
-
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/loss.h"
 #include "satsurf/ops/reduce.h"
 #include "satsurf/ops/resize.h"
+
+#include <cmath>
 
 namespace satsurf::train {
 namespace {
@@ -29,7 +29,8 @@ Target height_target(const std::vector<Tensor>& maps) {
   return t;
 }
 
-/// True heights of the target at a stage's resolution: the full-resolution pixel nearest to each centre.
+/// True heights of the target at a stage's resolution: the full-resolution pixel nearest to each
+/// centre.
 Tensor subsampled(const Tensor& z, Index stride) {
   const Index h = z.dim(0) / stride, w = z.dim(1) / stride;
   auto out = Tensor::uninitialised({h, w});
@@ -46,8 +47,8 @@ Var plus(const Var& total, const Var& term, double weight) {
 
 }  // namespace
 
-LossReport training_loss(const TrainConfig& config, const std::array<nn::StageOutput<float>, 3>& stages,
-                         const Crop& crop) {
+LossReport training_loss(const TrainConfig& config,
+                         const std::array<nn::StageOutput<float>, 3>& stages, const Crop& crop) {
   LossReport report{{}, std::nan(""), std::nan("")};
   for (std::size_t s = 0; s < 3; ++s) {
     const nn::StageOutput<float>& stage = stages[s];
@@ -55,12 +56,14 @@ LossReport training_loss(const TrainConfig& config, const std::array<nn::StageOu
     if (!crop.source_truth.empty()) {
       const Target truth = height_target(crop.source_truth[s]);
       report.total = plus(report.total,
-                          smooth_l1(stage.height, truth.value, truth.weight, static_cast<float>(config.height_beta)),
+                          smooth_l1(stage.height, truth.value, truth.weight,
+                                    static_cast<float>(config.height_beta)),
                           weight * config.height_weight);
       if (s == 2) {
         double error = 0, count = 0;
         for (Index i = 0; i < truth.value.count(); ++i) {
-          error += static_cast<double>(truth.weight[i] * std::abs(stage.height.value()[i] - truth.value[i]));
+          error += static_cast<double>(truth.weight[i] *
+                                       std::abs(stage.height.value()[i] - truth.value[i]));
           count += static_cast<double>(truth.weight[i]);
         }
         report.height_mae = error / count;
@@ -69,8 +72,8 @@ LossReport training_loss(const TrainConfig& config, const std::array<nn::StageOu
     if (!crop.target || (config.colour_weight <= 0 && config.render_height_weight <= 0)) continue;
 
     const nn::View& view = *crop.target;
-    const auto render =
-        nn::render_view(stage.surfels, view.pixel_from_local, view.rgb.dim(1), view.rgb.dim(2), stage.stride);
+    const auto render = nn::render_view(stage.surfels, view.pixel_from_local, view.rgb.dim(1),
+                                        view.rgb.dim(2), stage.stride);
     const Index h = render.alpha.dim(0), w = render.alpha.dim(1), P = h * w;
     const Tensor image = area_downsample(Var(view.rgb), stage.stride).value();
     const Tensor seen = area_downsample(Var(view.valid), stage.stride).value();
@@ -89,13 +92,16 @@ LossReport training_loss(const TrainConfig& config, const std::array<nn::StageOu
       count += counts ? 3 : 0;
     }
     if (s == 2 && count > 0) report.colour_psnr = -10 * std::log10(std::max(error / count, 1e-10));
-    report.total = plus(report.total, mse(render.colour, image, opaque3), weight * config.colour_weight);
+    report.total =
+        plus(report.total, mse(render.colour, image, opaque3), weight * config.colour_weight);
     if (!crop.target_truth.empty())
-      report.total = plus(report.total,
-                          smooth_l1(render.height, truth, known, static_cast<float>(config.height_beta)),
-                          weight * config.render_height_weight);
+      report.total =
+          plus(report.total,
+               smooth_l1(render.height, truth, known, static_cast<float>(config.height_beta)),
+               weight * config.render_height_weight);
   }
-  if (report.total.empty()) throw Error("training_loss: neither truth nor target, expected at least one");
+  if (report.total.empty())
+    throw Error("training_loss: neither truth nor target, expected at least one");
   return report;
 }
 

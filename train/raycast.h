@@ -13,10 +13,11 @@ struct HeightField {
   double x0 = 0, y0 = 0, step = 0.5;
 };
 
-/// First intersection of every pixel's ray with the surface, from above. Cells are square columns with vertical
-/// walls (what a DSM says); a ray that reaches an unknown cell or leaves the grid before it hits yields NaN.
-/// local_from_pixel  localisation (x, y, z) -> local (x, y)
-/// returns           [height width] z of the hit, m
-Tensor heights_in_view(const HeightField& field, const Quadratic& local_from_pixel, Index height, Index width);
+/// First intersection of every pixel's ray with the surface, from above. Cells are square columns
+/// with vertical walls (what a DSM says); a ray that reaches an unknown cell or leaves the grid
+/// before it hits yields NaN. local_from_pixel  localisation (x, y, z) -> local (x, y) returns
+/// [height width] z of the hit, m
+Tensor heights_in_view(const HeightField& field, const Quadratic& local_from_pixel, Index height,
+                       Index width);
 
 }  // namespace satsurf::train

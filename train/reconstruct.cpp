@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/reconstruct.h"
 
-#include <algorithm>
-#include <cmath>
-
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/concat.h"
+
+#include <algorithm>
+#include <cmath>
 
 namespace satsurf::train {
 namespace {
@@ -39,27 +39,32 @@ Ground common_ground(const Scene& scene, double z) {
   for (const SceneView& v : scene.views)
     for (const double fx : {0.0, 0.5, 1.0})
       for (const double fy : {0.0, 0.5, 1.0}) {
-        const rpc::Pixel corner{fx * static_cast<double>(v.rgb.dim(2)) - 0.5, fy * static_cast<double>(v.rgb.dim(1)) - 0.5};
+        const rpc::Pixel corner{fx * static_cast<double>(v.rgb.dim(2)) - 0.5,
+                                fy * static_cast<double>(v.rgb.dim(1)) - 0.5};
         const auto p = scene.frame.local_from_geodetic(v.rpc.localize(corner, z + scene.frame.h0));
-        all = {std::min(all.x0, p[0]), std::min(all.y0, p[1]), std::max(all.x1, p[0]), std::max(all.y1, p[1])};
+        all = {std::min(all.x0, p[0]), std::min(all.y0, p[1]), std::max(all.x1, p[0]),
+               std::max(all.y1, p[1])};
       }
-  constexpr Index kGrid = 128;  // fine enough to place tiles; the exact rim comes from the surfels themselves
+  constexpr Index kGrid =
+      128;  // fine enough to place tiles; the exact rim comes from the surfels themselves
   Ground common{INFINITY, INFINITY, -INFINITY, -INFINITY};
   const double dx = all.width() / kGrid, dy = all.height() / kGrid;
   for (Index i = 0; i < kGrid; ++i)
     for (Index j = 0; j < kGrid; ++j) {
-      const double x = all.x0 + (static_cast<double>(j) + 0.5) * dx, y = all.y0 + (static_cast<double>(i) + 0.5) * dy;
+      const double x = all.x0 + (static_cast<double>(j) + 0.5) * dx,
+                   y = all.y0 + (static_cast<double>(i) + 0.5) * dy;
       if (views_seeing(scene, x, y, z) < 2) continue;
-      common = {std::min(common.x0, x - dx / 2), std::min(common.y0, y - dy / 2), std::max(common.x1, x + dx / 2),
-                std::max(common.y1, y + dy / 2)};
+      common = {std::min(common.x0, x - dx / 2), std::min(common.y0, y - dy / 2),
+                std::max(common.x1, x + dx / 2), std::max(common.y1, y + dy / 2)};
     }
-  if (!(common.width() > 0)) throw Error("reconstruct: no two images see the same ground, expected overlapping views");
+  if (!(common.width() > 0))
+    throw Error("reconstruct: no two images see the same ground, expected overlapping views");
   return common;
 }
 
 /// d(pixel)/d(local) of a view at a ground point.
-std::array<std::array<double, 3>, 2> pixel_jacobian(const Scene& scene, const SceneView& view, double x, double y,
-                                                    double z) {
+std::array<std::array<double, 3>, 2> pixel_jacobian(const Scene& scene, const SceneView& view,
+                                                    double x, double y, double z) {
   constexpr double kStep = 1;  // m; the map is linear to 1e-6 over this distance
   std::array<std::array<double, 3>, 2> j{};
   for (std::size_t a = 0; a < 3; ++a) {
@@ -95,7 +100,8 @@ Plan plan_tiles(const Scene& scene, const Ground& ground, double z, Index asked,
   double side = INFINITY;
   const double S = static_cast<double>(plan.window), span = scene.z_high - scene.z_low;
   for (const SceneView& v : scene.views) {
-    const auto j = pixel_jacobian(scene, v, 0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1), z);
+    const auto j =
+        pixel_jacobian(scene, v, 0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1), z);
     for (const auto& row : j) {
       const double room = std::max(S - std::abs(row[2]) * span, 0.25 * S);
       side = std::min(side, room / (std::abs(row[0]) + std::abs(row[1])));
@@ -105,8 +111,10 @@ Plan plan_tiles(const Scene& scene, const Ground& ground, double z, Index asked,
               rows = std::max<Index>(1, static_cast<Index>(std::ceil(ground.height() / side)));
   for (Index r = 0; r < rows; ++r)
     for (Index c = 0; c < columns; ++c) {
-      const double w = ground.width() / static_cast<double>(columns), h = ground.height() / static_cast<double>(rows);
-      const double x = ground.x0 + static_cast<double>(c) * w, y = ground.y0 + static_cast<double>(r) * h;
+      const double w = ground.width() / static_cast<double>(columns),
+                   h = ground.height() / static_cast<double>(rows);
+      const double x = ground.x0 + static_cast<double>(c) * w,
+                   y = ground.y0 + static_cast<double>(r) * h;
       plan.tiles.push_back({x, y, x + w, y + h});
     }
   return plan;
@@ -117,13 +125,15 @@ Tensor rows_of(const Tensor& t, const std::vector<Index>& keep) {
   const Index n = static_cast<Index>(keep.size()), width = t.dim(0) > 0 ? t.count() / t.dim(0) : 0;
   auto out = Tensor::uninitialised(t.shape().with(0, n));
   for (Index i = 0; i < n; ++i)
-    std::copy_n(t.data() + keep[static_cast<std::size_t>(i)] * width, width, out.data() + i * width);
+    std::copy_n(t.data() + keep[static_cast<std::size_t>(i)] * width, width,
+                out.data() + i * width);
   return out;
 }
 
 splat::Surfels selected(const splat::Surfels& s, const std::vector<Index>& keep) {
   const auto take = [&](const Var& v) { return Var(rows_of(v.value(), keep)); };
-  return {take(s.means), take(s.quats), take(s.scales), take(s.opacity), take(s.colours), take(s.aux)};
+  return {take(s.means),   take(s.quats),   take(s.scales),
+          take(s.opacity), take(s.colours), take(s.aux)};
 }
 
 splat::Surfels joined(const std::vector<splat::Surfels>& parts) {
@@ -133,12 +143,14 @@ splat::Surfels joined(const std::vector<splat::Surfels>& parts) {
     for (const auto& p : parts) list.push_back(p.*member);
     return concat(list, 0);
   };
-  return {join(&splat::Surfels::means),   join(&splat::Surfels::quats),   join(&splat::Surfels::scales),
-          join(&splat::Surfels::opacity), join(&splat::Surfels::colours), join(&splat::Surfels::aux)};
+  return {join(&splat::Surfels::means),   join(&splat::Surfels::quats),
+          join(&splat::Surfels::scales),  join(&splat::Surfels::opacity),
+          join(&splat::Surfels::colours), join(&splat::Surfels::aux)};
 }
 
 /// Surfels of valid pixels whose point another view sees too and whose ground belongs to this tile.
-std::vector<Index> trustworthy(const nn::SceneInput& input, const splat::Surfels& s, const Ground& tile, bool bounded) {
+std::vector<Index> trustworthy(const nn::SceneInput& input, const splat::Surfels& s,
+                               const Ground& tile, bool bounded) {
   const Index N = static_cast<Index>(input.sources.size()), H = input.sources[0].rgb.dim(1),
               W = input.sources[0].rgb.dim(2), P = H * W;
   const Tensor& means = s.means.value();
@@ -154,7 +166,8 @@ std::vector<Index> trustworthy(const nn::SceneInput& input, const splat::Surfels
         if (j == i) continue;
         const auto q = input.transfer[i][j](static_cast<double>(x), static_cast<double>(row % H),
                                             static_cast<double>(means[3 * k + 2]));
-        const auto qx = static_cast<Index>(std::lround(q[0])), qy = static_cast<Index>(std::lround(q[1]));
+        const auto qx = static_cast<Index>(std::lround(q[0])),
+                   qy = static_cast<Index>(std::lround(q[1]));
         if (qx >= 0 && qy >= 0 && qx < W && qy < H && input.sources[j].valid[qy * W + qx] > 0) {
           good[static_cast<std::size_t>(k)] = 1;
           break;
@@ -177,7 +190,8 @@ Quadratic nadir_camera(double x0, double y0, double step) {
   return q;
 }
 
-Reconstruction reconstruct(const nn::Model& model, const Scene& scene, const ReconstructOptions& options) {
+Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
+                           const ReconstructOptions& options) {
   const NoGrad no_grad;
   const auto report = [&](const std::string& stage, double fraction) {
     if (options.progress) options.progress(stage, fraction);
@@ -189,7 +203,8 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene, const Rec
   double footprint = 0;
   for (const SceneView& v : scene.views)
     footprint += rpc::view_geometry(pixel_jacobian(scene, v, 0.5 * (ground.x0 + ground.x1),
-                                                   0.5 * (ground.y0 + ground.y1), z)).footprint /
+                                                   0.5 * (ground.y0 + ground.y1), z))
+                     .footprint /
                  static_cast<double>(scene.views.size());
 
   std::vector<Index> sources(scene.views.size());
@@ -198,10 +213,12 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene, const Rec
   for (std::size_t t = 0; t < plan.tiles.size(); ++t) {
     report("network", static_cast<double>(t) / static_cast<double>(plan.tiles.size()));
     const Ground& tile = plan.tiles[t];
-    const Crop crop = make_crop(scene, sources, std::nullopt, 0.5 * (tile.x0 + tile.x1), 0.5 * (tile.y0 + tile.y1), z,
-                                plan.window, scene.z_low, scene.z_high, false);
+    const Crop crop =
+        make_crop(scene, sources, std::nullopt, 0.5 * (tile.x0 + tile.x1),
+                  0.5 * (tile.y0 + tile.y1), z, plan.window, scene.z_low, scene.z_high, false);
     const auto stages = model.forward(crop.input);
-    parts.push_back(selected(stages[2].surfels, trustworthy(crop.input, stages[2].surfels, tile, plan.tiles.size() > 1)));
+    parts.push_back(selected(stages[2].surfels, trustworthy(crop.input, stages[2].surfels, tile,
+                                                            plan.tiles.size() > 1)));
   }
 
   Reconstruction out;
@@ -210,8 +227,10 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene, const Rec
   report("surface", 1);
   // The grid starts at a whole multiple of its step, so that runs over one place share their cells.
   const double step = options.resolution > 0 ? options.resolution : std::round(footprint * 20) / 20;
-  const double east = std::floor((ground.x0 + scene.frame.easting0) / step) * step - scene.frame.easting0,
-               north = std::ceil((ground.y1 + scene.frame.northing0) / step) * step - scene.frame.northing0;
+  const double east = std::floor((ground.x0 + scene.frame.easting0) / step) * step -
+                      scene.frame.easting0,
+               north = std::ceil((ground.y1 + scene.frame.northing0) / step) * step -
+                       scene.frame.northing0;
   const Index W = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - east) / step))),
               H = std::max<Index>(1, static_cast<Index>(std::ceil((north - ground.y0) / step)));
   const auto render = nn::render_view(out.surfels, nadir_camera(east, north, step), H, W, 1);
@@ -227,7 +246,8 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene, const Rec
       continue;
     }
     out.dsm.z[i] = std::nanf("");
-    const double x = east + (static_cast<double>(i % W) + 0.5) * step, y = north - (static_cast<double>(i / W) + 0.5) * step;
+    const double x = east + (static_cast<double>(i % W) + 0.5) * step,
+                 y = north - (static_cast<double>(i / W) + 0.5) * step;
     expected += views_seeing(scene, x, y, z) >= 2 ? 1 : 0;
   }
   out.completeness = expected > 0 ? static_cast<double>(seen) / static_cast<double>(expected) : 0;

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/trainer.h"
 
+#include "satsurf/core/fields_json.h"
+#include "satsurf/train/loss.h"
+
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <fstream>
-#include <nlohmann/json.hpp>
 #include <numeric>
 
-#include "satsurf/core/fields_json.h"
-#include "satsurf/train/loss.h"
+#include <nlohmann/json.hpp>
 
 namespace satsurf::train {
 namespace {
@@ -22,8 +23,11 @@ std::vector<Scene> load_all(const fs::path& folder, Index views) {
     Scene scene = load_scene(folder, name);
     if (static_cast<Index>(scene.views.size()) <= views)
       throw IoError((folder / name).string() + ": " + std::to_string(scene.views.size()) +
-                    " images, expected more than " + std::to_string(views) + " (the sources and one target)");
-    if (!scene.truth) throw IoError((folder / name).string() + ": no truth (" + name + "_DSM.tif), expected one to train with");
+                    " images, expected more than " + std::to_string(views) +
+                    " (the sources and one target)");
+    if (!scene.truth)
+      throw IoError((folder / name).string() + ": no truth (" + name +
+                    "_DSM.tif), expected one to train with");
     scenes.push_back(std::move(scene));
   }
   return scenes;
@@ -41,7 +45,8 @@ void vary(Crop& crop, const TrainConfig& config, Rng& rng) {
       if (view.valid[i] <= 0) continue;
       double c[3];
       for (Index k = 0; k < 3; ++k)
-        c[k] = std::clamp(gain * std::pow(static_cast<double>(view.rgb[k * P + i]), gamma) + offset, 0.0, 1.0);
+        c[k] = std::clamp(gain * std::pow(static_cast<double>(view.rgb[k * P + i]), gamma) + offset,
+                          0.0, 1.0);
       if (grey) c[0] = c[1] = c[2] = 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2];  // Rec. 601 luma
       for (Index k = 0; k < 3; ++k) view.rgb[k * P + i] = static_cast<float>(c[k]);
     }
@@ -65,8 +70,12 @@ class Journal {
     if (!out_) throw IoError(path.string() + ": cannot be written");
   }
   void add(const StepReport& r) {
-    nlohmann::ordered_json line{{"step", r.step},       {"loss", r.loss}, {"height_mae", r.height_mae},
-                                {"colour_psnr", r.colour_psnr}, {"lr", r.lr},     {"grad_norm", r.grad_norm},
+    nlohmann::ordered_json line{{"step", r.step},
+                                {"loss", r.loss},
+                                {"height_mae", r.height_mae},
+                                {"colour_psnr", r.colour_psnr},
+                                {"lr", r.lr},
+                                {"grad_norm", r.grad_norm},
                                 {"seconds", r.seconds}};
     out_ << line.dump() << '\n' << std::flush;
   }
@@ -77,14 +86,17 @@ class Journal {
 
 }  // namespace
 
-Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes, std::uint64_t seed, Index step) {
+Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes,
+                     std::uint64_t seed, Index step) {
   Rng rng = Rng(seed).fork(static_cast<std::uint64_t>(step));
-  // A window may lie where the truth is unknown or outside an image; a few tries always find a good one.
+  // A window may lie where the truth is unknown or outside an image; a few tries always find a good
+  // one.
   constexpr int kTries = 20;
   constexpr double kEnough = 0.6;  // share of source pixels with a known height
   Crop crop;
   for (int attempt = 0; attempt < kTries; ++attempt) {
-    const Scene& scene = scenes[static_cast<std::size_t>(rng.below(static_cast<Index>(scenes.size())))];
+    const Scene& scene =
+        scenes[static_cast<std::size_t>(rng.below(static_cast<Index>(scenes.size())))];
     std::vector<Index> order(scene.views.size());
     std::iota(order.begin(), order.end(), Index{0});
     for (std::size_t i = order.size(); i-- > 1;)
@@ -92,7 +104,8 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
     const auto N = static_cast<std::size_t>(config.views);
     const std::vector<Index> sources(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(N));
 
-    // Around a random pixel of the first source, far enough inside for the window where the image is large enough.
+    // Around a random pixel of the first source, far enough inside for the window where the image
+    // is large enough.
     const HeightField& truth = *scene.truth;
     const SceneView& first = scene.views[static_cast<std::size_t>(sources[0])];
     const auto inner = [&](Index extent) {
@@ -101,13 +114,18 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
     };
     const double px = inner(first.rgb.dim(2)), py = inner(first.rgb.dim(1));
     double x = 0, y = 0, z = 0.5 * (scene.z_low + scene.z_high);
-    for (int pass = 0; pass < 2; ++pass) {  // at the middle of the range first, then near the surface found there
-      const auto p = scene.frame.local_from_geodetic(first.rpc.localize({px, py}, z + scene.frame.h0));
+    for (int pass = 0; pass < 2;
+         ++pass) {  // at the middle of the range first, then near the surface found there
+      const auto p =
+          scene.frame.local_from_geodetic(first.rpc.localize({px, py}, z + scene.frame.h0));
       x = p[0];
       y = p[1];
-      const Index row = std::clamp<Index>(static_cast<Index>((truth.y0 - y) / truth.step), 0, truth.z.dim(0) - 1),
-                  col = std::clamp<Index>(static_cast<Index>((x - truth.x0) / truth.step), 0, truth.z.dim(1) - 1);
-      if (const float t = truth.z[row * truth.z.dim(1) + col]; std::isfinite(t)) z = static_cast<double>(t);
+      const Index row = std::clamp<Index>(static_cast<Index>((truth.y0 - y) / truth.step), 0,
+                                          truth.z.dim(0) - 1),
+                  col = std::clamp<Index>(static_cast<Index>((x - truth.x0) / truth.step), 0,
+                                          truth.z.dim(1) - 1);
+      if (const float t = truth.z[row * truth.z.dim(1) + col]; std::isfinite(t))
+        z = static_cast<double>(t);
     }
     const double span = scene.z_high - scene.z_low;
     const double low = scene.z_low - rng.uniform(0, config.range_jitter) * span,
@@ -120,7 +138,8 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
         if (!seen)
           for (std::size_t s = 0; s < 3; ++s) {  // no image, no lesson
             const Index stride = Index{4} >> s, w = config.crop / stride;
-            crop.source_truth[s][i][(p / config.crop / stride) * w + p % config.crop / stride] = std::nanf("");
+            crop.source_truth[s][i][(p / config.crop / stride) * w + p % config.crop / stride] =
+                std::nanf("");
           }
         known += seen && std::isfinite(crop.source_truth[2][i][p]) ? 1 : 0;
       }
@@ -130,13 +149,13 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
   return crop;
 }
 
-void train(const TrainConfig& config, const fs::path& data, const fs::path& out, std::uint64_t seed, bool resume,
-           const StepCallback& callback) {
+void train(const TrainConfig& config, const fs::path& data, const fs::path& out, std::uint64_t seed,
+           bool resume, const StepCallback& callback) {
   check_fields(config, "train");
   const Index multiple = nn::size_multiple(config.model);
   if (config.crop % multiple != 0)
-    throw ConfigError("train: crop is " + std::to_string(config.crop) + ", expected a multiple of " +
-                      std::to_string(multiple));
+    throw ConfigError("train: crop is " + std::to_string(config.crop) +
+                      ", expected a multiple of " + std::to_string(multiple));
   const std::vector<Scene> scenes = load_all(data, config.views);
 
   const fs::path checkpoint = out / "checkpoint.safetensors";
@@ -144,15 +163,19 @@ void train(const TrainConfig& config, const fs::path& data, const fs::path& out,
   nn::Model model(config.model, seed);
   nn::AdamW optimiser(model.parameters(), {.weight_decay = config.weight_decay});
   Index step = 0;
-  if (!config.init.empty() && !resume) model.parameters().load(load_safetensors(config.init), "model.", config.init);
+  if (!config.init.empty() && !resume)
+    model.parameters().load(load_safetensors(config.init), "model.", config.init);
   if (resume) {
     const TensorFile file = load_safetensors(checkpoint);
     const auto saved = file.metadata.find("train"), saved_seed = file.metadata.find("seed");
     if (saved == file.metadata.end() || saved_seed == file.metadata.end())
-      throw IoError(checkpoint.string() + ": no training state, expected a checkpoint that train wrote");
+      throw IoError(checkpoint.string() +
+                    ": no training state, expected a checkpoint that train wrote");
     if (saved->second != record || saved_seed->second != std::to_string(seed))
-      throw ConfigError(checkpoint.string() + ": made with another configuration or seed, expected the same to resume; "
-                        "saved: seed " + saved_seed->second + ", " + saved->second);
+      throw ConfigError(checkpoint.string() +
+                        ": made with another configuration or seed, expected the same to resume; "
+                        "saved: seed " +
+                        saved_seed->second + ", " + saved->second);
     model.parameters().load(file, "model.", checkpoint.string());
     optimiser.load(file, checkpoint.string());
     step = optimiser.steps();
@@ -174,7 +197,9 @@ void train(const TrainConfig& config, const fs::path& data, const fs::path& out,
     const auto start = std::chrono::steady_clock::now();
     const Crop crop = training_sample(config, scenes, seed, step);
     model.parameters().clear_grads();
-    StepReport report{.step = step + 1, .steps = config.steps, .lr = nn::one_cycle_lr(config.lr, config.warmup, step, config.steps)};
+    StepReport report{.step = step + 1,
+                      .steps = config.steps,
+                      .lr = nn::one_cycle_lr(config.lr, config.warmup, step, config.steps)};
     {
       const LossReport loss = training_loss(config, model.forward(crop.input), crop);
       report.loss = static_cast<double>(loss.total.value().item());
@@ -192,7 +217,8 @@ void train(const TrainConfig& config, const fs::path& data, const fs::path& out,
       throw Error("train: the gradient of step " + std::to_string(step + 1) + " is not finite");
     optimiser.step(report.lr);
     ++step;
-    report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    report.seconds =
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     journal.add(report);
     if (callback) go_on = callback(report);
     if (!go_on || step == config.steps || step % config.checkpoint_every == 0) save();

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <filesystem>
-#include <functional>
-#include <string>
-
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/train/dataset.h"
+
+#include <filesystem>
+#include <functional>
+#include <string>
 
 namespace satsurf::train {
 
@@ -15,27 +15,29 @@ namespace satsurf::train {
 struct TrainConfig {
   std::string preset = "base8";  ///< starting point of `model`
   nn::ModelConfig model;
-  std::string init;              ///< weights file to start from, or empty for random weights
+  std::string init;  ///< weights file to start from, or empty for random weights
   Index steps = 4000;
-  Index views = 3;               ///< source views per sample; one more is the target
-  Index crop = 128;              ///< window side, px
+  Index views = 3;   ///< source views per sample; one more is the target
+  Index crop = 128;  ///< window side, px
   double lr = 1e-3;
-  double warmup = 0.03;          ///< share of the steps
+  double warmup = 0.03;  ///< share of the steps
   double weight_decay = 0.01;
-  double clip = 0.5;             ///< global gradient norm
+  double clip = 0.5;  ///< global gradient norm
   std::array<double, 3> stage_weight{0.5, 1, 2};
-  double height_weight = 1;      ///< smooth-L1 of the stage heights, per metre
-  double height_beta = 1;        ///< its transition, m
-  double colour_weight = 1;      ///< MSE of the rendered target
+  double height_weight = 1;           ///< smooth-L1 of the stage heights, per metre
+  double height_beta = 1;             ///< its transition, m
+  double colour_weight = 1;           ///< MSE of the rendered target
   double render_height_weight = 0.1;  ///< smooth-L1 of the height rendered in the target
-  double range_jitter = 0.2;     ///< random widening of the height range, share of its span
-  double grey_share = 0.4;       ///< share of the samples made panchromatic
-  double radiometry = 0.15;      ///< random gain, offset and gamma of a sample
-  Index checkpoint_every = 200;  ///< steps
+  double range_jitter = 0.2;          ///< random widening of the height range, share of its span
+  double grey_share = 0.4;            ///< share of the samples made panchromatic
+  double radiometry = 0.15;           ///< random gain, offset and gamma of a sample
+  Index checkpoint_every = 200;       ///< steps
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
-    v("preset", s.preset, Field{.help = "model preset the model fields start from", .choices = {"tiny", "base8", "base16"}});
+    v("preset", s.preset,
+      Field{.help = "model preset the model fields start from",
+            .choices = {"tiny", "base8", "base16"}});
     v("model", s.model, Field{.help = "network"});
     v("init", s.init, Field{.help = "weights to start from instead of random ones"});
     v("steps", s.steps, Field{.help = "optimiser steps", .min = 1});
@@ -46,14 +48,20 @@ struct TrainConfig {
     v("weight_decay", s.weight_decay, Field{.help = "decoupled weight decay", .min = 0, .max = 1});
     v("clip", s.clip, Field{.help = "largest global gradient norm", .min = 0});
     v("stage_weight", s.stage_weight, Field{.help = "loss weight of the three stages", .min = 0});
-    v("height_weight", s.height_weight, Field{.help = "weight of the height loss", .unit = "1/m", .min = 0});
-    v("height_beta", s.height_beta, Field{.help = "where the height loss turns linear", .unit = "m", .min = 1e-6});
-    v("colour_weight", s.colour_weight, Field{.help = "weight of the rendered target's colour loss", .min = 0});
+    v("height_weight", s.height_weight,
+      Field{.help = "weight of the height loss", .unit = "1/m", .min = 0});
+    v("height_beta", s.height_beta,
+      Field{.help = "where the height loss turns linear", .unit = "m", .min = 1e-6});
+    v("colour_weight", s.colour_weight,
+      Field{.help = "weight of the rendered target's colour loss", .min = 0});
     v("render_height_weight", s.render_height_weight,
       Field{.help = "weight of the rendered target's height loss", .unit = "1/m", .min = 0});
-    v("range_jitter", s.range_jitter, Field{.help = "random widening of the height range", .min = 0, .max = 2});
-    v("grey_share", s.grey_share, Field{.help = "share of the samples made panchromatic", .min = 0, .max = 1});
-    v("radiometry", s.radiometry, Field{.help = "random gain, offset and gamma of a sample", .min = 0, .max = 0.9});
+    v("range_jitter", s.range_jitter,
+      Field{.help = "random widening of the height range", .min = 0, .max = 2});
+    v("grey_share", s.grey_share,
+      Field{.help = "share of the samples made panchromatic", .min = 0, .max = 1});
+    v("radiometry", s.radiometry,
+      Field{.help = "random gain, offset and gamma of a sample", .min = 0, .max = 0.9});
     v("checkpoint_every", s.checkpoint_every, Field{.help = "steps between checkpoints", .min = 1});
   }
 };
@@ -68,21 +76,24 @@ struct StepReport {
 using StepCallback = std::function<bool(const StepReport&)>;
 
 /// Trains on the scenes of a folder and writes `checkpoint.safetensors` (all that resuming needs),
-/// `weights.safetensors` (the model alone) and `train.jsonl` into `out`. With `resume`, continues from
-/// `out/checkpoint.safetensors` bit for bit as if never interrupted.
-/// throws IoError, ConfigError
-void train(const TrainConfig& config, const std::filesystem::path& data, const std::filesystem::path& out,
-           std::uint64_t seed, bool resume, const StepCallback& callback);
+/// `weights.safetensors` (the model alone) and `train.jsonl` into `out`. With `resume`, continues
+/// from `out/checkpoint.safetensors` bit for bit as if never interrupted. throws IoError,
+/// ConfigError
+void train(const TrainConfig& config, const std::filesystem::path& data,
+           const std::filesystem::path& out, std::uint64_t seed, bool resume,
+           const StepCallback& callback);
 
 /// A model from a weights or checkpoint file, which carries its configuration. throws IoError
 nn::Model load_model(const std::filesystem::path& path);
 void save_model(const std::filesystem::path& path, const nn::Model& model);
 
-/// The same inside a file that holds more: tensors `model.*`, metadata `format` and `model` (its configuration).
+/// The same inside a file that holds more: tensors `model.*`, metadata `format` and `model` (its
+/// configuration).
 void store_model(TensorFile& file, const nn::Model& model);
 nn::Model model_from(const TensorFile& file, const std::string& where);
 
 /// Sample number `step` of a run: a pure function of scenes, configuration, seed and step.
-Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes, std::uint64_t seed, Index step);
+Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes,
+                     std::uint64_t seed, Index step);
 
 }  // namespace satsurf::train
