@@ -156,6 +156,16 @@ TEST_CASE("heights_in_view on simple fields") {
     const Tensor z = heights_in_view(field, map, 1, 1);
     CHECK(z[0] == doctest::Approx(4.5));
   }
+  SUBCASE("the lowest ground is seen however its height rounds") {
+    HeightField wide{.z = Tensor({40, 40}), .x0 = 0, .y0 = 40, .step = 1};
+    for (Index k = 0; k < 60; ++k) {
+      const float low = -36.1f - 0.37f * static_cast<float>(k);
+      wide.z.fill(low);
+      wide.z[0] = 52.3f + 0.7f * static_cast<float>(k);
+      const Tensor z = heights_in_view(wide, slanted(20, 20, 1, 0.01, 0.02), 3, 3);
+      for (const float v : z.values()) CHECK(v == low);
+    }
+  }
   SUBCASE("nothing is seen where nothing is known") {
     field.z.fill(std::nanf(""));
     const Tensor seen = heights_in_view(field, slanted(0, 5, 1, 0, 0), 3, 4);

@@ -5,6 +5,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <utility>
+#include <vector>
 
 namespace satsurf::train {
 namespace {
@@ -13,7 +16,7 @@ constexpr Index kCoarse = 256;       // px, side of the images of the sweep
 constexpr Index kRadius = 3;         // px, half a correlation window
 constexpr double kAgreement = 0.75;  // correlation from which a match counts
 constexpr double kUnique = 0.1;      // by which the best height must beat every other peak
-constexpr Index kNeighbours = 5;     // of eight, that must have found nearly the same height
+constexpr Index kPatch = (2 * kRadius + 1) * (2 * kRadius + 1);  // px, the least that is believed
 constexpr double kMargin =
     15;  // m, added to the percentiles: roofs and gullies smaller than a coarse window
 constexpr Index kFewest = 100;  // matches that make a range believable
@@ -95,6 +98,65 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
   return out;
 }
 
+/// Heights of the believed pixels that lie in patches of kPatch or more whose neighbours differ by
+/// at most `step`. A chance match spreads over no more than the window it was found in.
+std::vector<float> heights_of_patches(const Tensor& where, std::vector<char> believed, Index H,
+                                      Index W, float step) {
+  std::vector<float> heights;
+  std::vector<Index> patch;
+  for (Index start = 0; start < H * W; ++start) {
+    if (!believed[static_cast<std::size_t>(start)]) continue;
+    patch.assign(1, start);
+    believed[static_cast<std::size_t>(start)] = 0;
+    for (std::size_t k = 0; k < patch.size(); ++k) {
+      const Index i = patch[k], y = i / W, x = i % W;
+      for (Index v = std::max<Index>(0, y - 1); v <= std::min(H - 1, y + 1); ++v)
+        for (Index u = std::max<Index>(0, x - 1); u <= std::min(W - 1, x + 1); ++u) {
+          const Index j = v * W + u;
+          if (!believed[static_cast<std::size_t>(j)] || std::abs(where[j] - where[i]) > step)
+            continue;
+          believed[static_cast<std::size_t>(j)] = 0;
+          patch.push_back(j);
+        }
+    }
+    if (static_cast<Index>(patch.size()) < kPatch) continue;
+    for (const Index i : patch) heights.push_back(where[i]);
+  }
+  return heights;
+}
+
+/// Lowest and highest height that is found more often than chance finds it. Chance matches are
+/// few and anywhere; what lies outside the middle nine tenths shows how few.
+std::pair<double, double> believable_span(std::vector<float> heights) {
+  constexpr double kBin = 10;  // m
+  std::sort(heights.begin(), heights.end());
+  const double n = static_cast<double>(heights.size());
+  const auto percentile = [&](double q) {
+    return static_cast<double>(heights[static_cast<std::size_t>(q * (n - 1))]);
+  };
+  const double core_low = percentile(0.05), core_high = percentile(0.95);
+  std::map<Index, Index> count;  // by bin, outside the core
+  const auto bin_of = [](float z) {
+    return static_cast<Index>(std::floor(static_cast<double>(z) / kBin));
+  };
+  const auto outside = [&](float z) {
+    return static_cast<double>(z) < core_low || static_cast<double>(z) > core_high;
+  };
+  for (const float z : heights)
+    if (outside(z)) ++count[bin_of(z)];
+  std::vector<Index> sizes;
+  for (const auto& [bin, size] : count) sizes.push_back(size);
+  std::sort(sizes.begin(), sizes.end());
+  const double chance = sizes.empty() ? 0 : static_cast<double>(sizes[sizes.size() / 2]);
+  double low = core_low, high = core_high;
+  for (const float z : heights) {
+    if (outside(z) && static_cast<double>(count[bin_of(z)]) < 0.001 * n + 4 * chance) continue;
+    low = std::min(low, static_cast<double>(z));
+    high = std::max(high, static_cast<double>(z));
+  }
+  return {low, high};
+}
+
 }  // namespace
 
 std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high) {
@@ -166,29 +228,18 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
       }
   }
   const Index H = coarse[0].grey.dim(0), W = coarse[0].grey.dim(1);
-  std::vector<float> heights;
-  for (Index y = 1; y + 1 < H; ++y)
-    for (Index x = 1; x + 1 < W; ++x) {
-      const Index i = y * W + x;
-      if (best[i] < kAgreement || best[i] - rival[i] < kUnique) continue;
-      Index alike = -1;  // not the window itself
-      for (Index dy = -1; dy <= 1; ++dy)
-        for (Index dx = -1; dx <= 1; ++dx)
-          alike += std::abs(where[i + dy * W + dx] - where[i]) <= peak ? 1 : 0;
-      if (alike >= kNeighbours) heights.push_back(where[i]);
-    }
+  std::vector<char> believed(static_cast<std::size_t>(P));
+  for (Index i = 0; i < P; ++i)
+    believed[static_cast<std::size_t>(i)] = best[i] >= kAgreement && best[i] - rival[i] >= kUnique;
+  std::vector<float> heights = heights_of_patches(where, believed, H, W, static_cast<float>(peak));
   if (static_cast<Index>(heights.size()) < kFewest)
     throw Error("height range: only " + std::to_string(heights.size()) +
                 " windows of the images agree anywhere between " +
                 std::to_string(z_low + scene.frame.h0) + " and " +
                 std::to_string(z_high + scene.frame.h0) + " m, expected " +
                 std::to_string(kFewest) + "; give --height-range LOW HIGH");
-  std::sort(heights.begin(), heights.end());
-  const auto percentile = [&](double q) {
-    return static_cast<double>(
-        heights[static_cast<std::size_t>(q * static_cast<double>(heights.size() - 1))]);
-  };
-  return {percentile(0.01) - kMargin, percentile(0.99) + kMargin};
+  const auto [low, high] = believable_span(std::move(heights));
+  return {low - kMargin, high + kMargin};
 }
 
 }  // namespace satsurf::train

@@ -99,9 +99,10 @@ ColumnField::Hit ColumnField::walk(double x_high, double y_high, double x_low, d
     const Index bc = c / kBlock, br = r / kBlock;
     const double s_u = u.exit(bc * kBlock, kBlock), s_v = v.exit(br * kBlock, kBlock);
     const double s_block = std::min({s_u, s_v, 1.0});
-    if (high_ - s_block * drop >
-        static_cast<double>(block_high_[static_cast<std::size_t>(br * block_cols_ + bc)])) {
-      if (s_block >= 1.0) return {};
+    // Never skip the end: rounding could put it above a block that is all at the lowest height.
+    if (s_block < 1.0 &&
+        high_ - s_block * drop >
+            static_cast<double>(block_high_[static_cast<std::size_t>(br * block_cols_ + bc)])) {
       s = s_block;
       const bool by_u =
           s_u <= s_v;  // the crossed axis is stepped exactly, the other one is read off

@@ -99,9 +99,13 @@ void clutter(Layout& layout, Rng& r, const Part& on) {
   const Colour common = grey(draw(r, 0.3, 0.7));
   for (int k = 0; k < std::min(n, 40); ++k) {
     Part p = on;
-    const bool small = r.chance(0.7);
+    const bool small = r.chance(0.7), duct = r.chance(0.12);
     p.a = small ? draw(r, 0.4, 1.2) : draw(r, 1.2, std::max(1.3f, 0.25f * on.a));
     p.b = small ? draw(r, 0.4, 1.2) : draw(r, 1.0, std::max(1.1f, 0.3f * on.b));
+    if (duct) {
+      p.a = draw(r, 0.15, 0.65) * on.a;
+      p.b = draw(r, 0.3, 0.6);
+    }
     if (p.a > 0.7f * on.a || p.b > 0.7f * on.b) continue;
     const float du = draw(r, -1, 1) * (on.a - p.a - 0.6f),
                 dv = draw(r, -1, 1) * (on.b - p.b - 0.6f);
@@ -109,7 +113,7 @@ void clutter(Layout& layout, Rng& r, const Part& on) {
     p.y = on.y + du * on.sin + dv * on.cos;
     p.base = on.eave;
     p.eave = on.eave + (small ? draw(r, 0.5, 1.6) : draw(r, 1.5, 3.8));
-    p.round = r.chance(0.15);
+    p.round = !duct && r.chance(0.15);
     if (p.round) p.b = p.a;
     p.rise = 0;
     p.roof_colour = small ? common : flat_roof_colour(r);
@@ -118,6 +122,37 @@ void clutter(Layout& layout, Rng& r, const Part& on) {
     p.pattern = RoofPattern::plain;
     p.seed = static_cast<std::uint32_t>(r.next_u64());
     layout.parts.push_back(p);
+  }
+}
+
+// Four wings around a yard.
+void add_courtyard(Layout& layout, Rng& r, const Part& outline, float storeys) {
+  const float depth = draw(r, 4.5, 6.5), pitch = r.chance(0.6) ? draw(r, 0.25, 0.7) : 0.0f;
+  const Colour cover = pitched_roof_colour(r);
+  for (int k = 0; k < 4; ++k) {
+    Part wing = outline;
+    const bool along_u = k < 2;
+    const float side = k % 2 == 0 ? 1.0f : -1.0f;
+    const float du = along_u ? 0.0f : side * (outline.a - depth);
+    const float dv = along_u ? side * (outline.b - depth) : 0.0f;
+    wing.x += du * outline.cos - dv * outline.sin;
+    wing.y += du * outline.sin + dv * outline.cos;
+    wing.a = along_u ? outline.a : outline.b;
+    wing.b = depth;
+    if (!along_u) {
+      wing.cos = -outline.sin;
+      wing.sin = outline.cos;
+    }
+    wing.eave = outline.base + storeys * (k == 3 && r.chance(0.3) ? 0.5f : 1.0f);
+    if (pitch > 0) {
+      wing.roof = Roof::hip;
+      wing.rise = std::min(pitch * depth, 4.0f);
+      wing.pattern = RoofPattern::tiles;
+      wing.pattern_period = 0.45f;
+      wing.roof_colour = cover;
+    }
+    layout.parts.push_back(wing);
+    clutter(layout, r, wing);
   }
 }
 
@@ -138,11 +173,25 @@ void add_building(Layout& layout, Rng& r, float u0, float u1, float v0, float v1
   p.eave = low + std::min(std::max(height, mean - low + 2.5f), cap);
   const float storeys = p.eave - low;
 
+  if (r.chance(0.07) &&
+      std::max(du, dv) < 1.6f * std::min(du, dv)) {  // out of line with the street
+    const float turn = draw(r, -0.7, 0.7), c = p.cos;
+    p.cos = c * std::cos(turn) - p.sin * std::sin(turn);
+    p.sin = p.sin * std::cos(turn) + c * std::sin(turn);
+    p.a *= 0.7f;
+    p.b *= 0.7f;
+    layout.parts.push_back(p);
+    clutter(layout, r, p);
+    return;
+  }
   const double shape = r.uniform();
   const bool slender = std::max(du, dv) < 45;
   if (slender && shape < 0.04) {
     p.round = true;
     p.a = p.b = std::min(p.a, p.b);
+  } else if (shape < 0.14 && std::min(du, dv) > 28 && storeys < 28) {
+    add_courtyard(layout, r, p, storeys);
+    return;
   } else if (shape < 0.28 && std::min(du, dv) > 14) {  // two wings
     Part wing = p;
     const float cut = draw(r, 0.35, 0.6), side = r.chance(0.5) ? 1.0f : -1.0f;

@@ -70,10 +70,10 @@ class Painter {
     green_share_ = static_cast<float>(r.uniform(-0.4, 0.8));
     bumps_ = static_cast<float>(layout.plan.kind == "rough" ? r.uniform(0.05, 0.4)
                                                             : r.uniform(0.0, 0.08));
-    const float b = static_cast<float>(r.uniform(0.6, 1.5)), dry = static_cast<float>(r.uniform());
+    const float b = static_cast<float>(r.uniform(0.35, 1.2)), dry = static_cast<float>(r.uniform());
     wild_soil_ = {0.25f * b * static_cast<float>(r.uniform(0.95, 1.25)), 0.20f * b, 0.15f * b};
     wild_rock_ = {0.30f * b, 0.285f * b, 0.26f * b};
-    wild_grass_ = {0.075f + 0.10f * dry, 0.10f + 0.07f * dry, 0.045f + 0.04f * dry};
+    wild_grass_ = {0.085f + 0.10f * dry, 0.10f + 0.075f * dry, 0.055f + 0.05f * dry};
     lane_colour_ =
         r.chance(0.4) ? Colour{0.13f, 0.13f, 0.132f}
                       : Colour{1.25f * wild_soil_[0], 1.25f * wild_soil_[1], 1.25f * wild_soil_[2]};
@@ -175,8 +175,8 @@ class Painter {
         const auto pu = static_cast<std::int32_t>(std::floor(u / 17)),
                    pv = static_cast<std::int32_t>(std::floor(v / 13));
         const std::uint32_t h = hash(pu, pv, b.seed);
-        if ((h & 7u) == 0) return put(i, j, z, {0.085f, 0.11f, 0.05f}, Material::grass, 0);
-        return put(i, j, z, b.colour, Material::concrete, 0, 0.35f * (unit(h) - 0.5f));
+        if ((h & 15u) == 0) return put(i, j, z, {0.085f, 0.11f, 0.05f}, Material::grass, 0);
+        return put(i, j, z, b.colour, Material::concrete, 0, 0.22f * (unit(h) - 0.5f));
       }
       case Ground::parking: {
         Colour c = b.colour;
@@ -336,13 +336,14 @@ class Painter {
           const Index k = i * N_ + j;
           const SurfaceCell& under = city_.cells[static_cast<std::size_t>(k)];
           if (under.part != 0) return;  // trees next to a house are cut back
-          const float q = (dx * dx + dy * dy) / (t.radius * t.radius) *
-                          (1 + 0.30f * fine_[k] + 0.25f * middle_[k]);
+          // Crowns are ragged; the floor keeps large negative noise from turning them inside out.
+          const float ragged = std::max(0.25f, 1 + 0.38f * fine_[k] + 0.40f * middle_[k]);
+          const float q = (dx * dx + dy * dy) / (t.radius * t.radius) * ragged;
           if (q >= 1) return;
           const float dome = conifer ? 1 - std::sqrt(q) : std::sqrt(1 - q);
           const float z = t.base + t.height * (0.35f + 0.65f * dome) * (1 + 0.06f * fine_[k]);
           if (z <= city_.field.z[k]) return;
-          put(i, j, z, t.colour, Material::tree, 0, 0.35f * (dome - 0.6f));
+          put(i, j, z, t.colour, t.material, 0, 0.35f * (dome - 0.6f));
         });
   }
 

@@ -50,7 +50,8 @@ struct Part {
 struct Tree {
   float x, y, radius, height, base;
   Colour colour;
-  std::uint32_t seed;
+  std::uint32_t seed;                  ///< odd: a cone, else a dome
+  Material material = Material::tree;  ///< or rock: a boulder
 };
 
 struct Car {

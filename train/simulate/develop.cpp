@@ -72,7 +72,7 @@ Tensor develop(const Tensor& radiance, const Development& how) {
     std::nth_element(sorted.begin(), at, sorted.end());
     return *at;
   };
-  const float low = quantile(0.02), high = std::max(quantile(0.98), low + 1e-4f);
+  const float low = quantile(0.01), high = std::max(quantile(0.99), low + 1e-4f);
   const float dark = std::pow(how.dark, how.gamma), bright = std::pow(how.bright, how.gamma);
   const float gain = (bright - dark) / (high - low), offset = dark - gain * low;
 

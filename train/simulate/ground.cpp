@@ -69,16 +69,28 @@ void shape_ground(Layout& layout, const Rng& rng) {
                                       .seed = seed_of(rng, 2)});
   const Tensor mask =
       fractal_noise(N, N, plan.step, {.period = 150, .octaves = 2, .seed = seed_of(rng, 3)});
-  const float tilt = static_cast<float>(draw.uniform(0, 0.6)),
+  // A quarry is a steep side cut into many benches.
+  const bool quarry = rough && draw.chance(0.35);
+  const float tilt = static_cast<float>(quarry ? draw.uniform(0.6, 1.0) : draw.uniform(0, 0.6)),
               turn = static_cast<float>(draw.uniform(0, 6.2832));
   const float tx = tilt * std::cos(turn) / layout.half_side(),
               ty = tilt * std::sin(turn) / layout.half_side();
   Benches benches;
-  if (open && draw.chance(rough ? 0.6 : 0.3)) {
+  if (quarry) {
+    benches.height = static_cast<float>(draw.uniform(3, 9));
+    benches.riser = static_cast<float>(draw.uniform(0.08, 0.3));
+    benches.lowest = static_cast<float>(draw.uniform(-1.5, -0.2));
+  } else if (open && draw.chance(rough ? 0.5 : 0.3)) {
     benches.height = static_cast<float>(draw.uniform(0.12, 0.35)) * A;
     benches.riser = static_cast<float>(draw.uniform(0.08, 0.35));
     benches.lowest = static_cast<float>(draw.uniform(-0.6, 0.3));
   }
+
+  // Hummocks and gullies, too small to be part of the hills.
+  const float hummock = static_cast<float>(rough ? draw.uniform(0.1, 1.2) : 0.0);
+  const Tensor small = fractal_noise(
+      N, N, plan.step,
+      {.period = draw.uniform(9, 22), .octaves = rough ? 3 : 0, .seed = seed_of(rng, 6)});
 
   layout.terrain = Tensor::uninitialised({N, N});
   for_range(N, 32, [&](Index begin, Index end) {
@@ -86,14 +98,14 @@ void shape_ground(Layout& layout, const Rng& rng) {
       const float y = layout.half_side() - (static_cast<float>(i) + 0.5f) * step;
       for (Index j = 0; j < N; ++j) {
         const float x = (static_cast<float>(j) + 0.5f) * step - layout.half_side();
-        float z = A * (0.6f * hills[i * N + j] + tx * x + ty * y);
+        float z = A * ((quarry ? 0.3f : 0.6f) * hills[i * N + j] + tx * x + ty * y);
         if (benches.height > 0) {
           const float k = std::floor(z / benches.height), f = z / benches.height - k;
           const float stepped =
               benches.height * (k + smooth_step((f - 1 + benches.riser) / benches.riser));
           z += (stepped - z) * smooth_step((mask[i * N + j] - benches.lowest) * 5.0f);
         }
-        layout.terrain[i * N + j] = std::clamp(z, -A, A);
+        layout.terrain[i * N + j] = std::clamp(z + hummock * small[i * N + j], -A, A);
       }
     }
   });

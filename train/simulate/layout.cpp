@@ -22,11 +22,11 @@ struct Fabric {
 };
 
 Fabric fabric_of(const std::string& kind, Rng& rng) {
-  if (kind == "city") return {95, 105, 7.5, 3, 0.68, 0.04, 0.14, 0.10, 0.04, 38, 7, 26, 0.22, 0.10};
+  if (kind == "city") return {88, 98, 6.8, 3, 0.82, 0.02, 0.08, 0.05, 0.02, 34, 7, 28, 0.3, 0.10};
   if (kind == "suburb")
     return {75, 110, 4.2, 1.8, 0.10, 0.72, 0.05, 0.10, 0.03, 26, 4, 10, 0.01, 0.30};
   if (kind == "industrial")
-    return {150, 130, 6, 1.5, 0.55, 0, 0.25, 0.05, 0.15, 70, 6, 15, 0.03, 0.06};
+    return {140, 115, 6, 1.5, 0.66, 0, 0.18, 0.05, 0.10, 60, 6, 15, 0.04, 0.06};
   if (kind == "village") return {62, 80, 3.2, 1, 0.12, 0.60, 0.04, 0.14, 0.05, 20, 5, 11, 0, 0.35};
   if (kind == "rural") return {170, 140, 2.4, 0, 0.03, 0.08, 0, 0.10, 0.12, 24, 4, 8, 0, 0.25};
   return {1e6, 1e6, 0, 0, 0, 0, 0, 0, 0, 20, 4, 8, 0, rng.uniform(0.1, 0.7)};
@@ -45,12 +45,12 @@ std::vector<float> street_lines(Rng& rng, double spacing, float reach) {
 
 Colour grass_colour(Rng& rng) {
   const float dry = draw(rng, 0, 1);
-  return {0.075f + 0.12f * dry, 0.105f + 0.08f * dry, 0.045f + 0.05f * dry};
+  return {0.085f + 0.11f * dry, 0.105f + 0.075f * dry, 0.055f + 0.05f * dry};
 }
 
 Colour soil_colour(Rng& rng) {
-  const float b = draw(rng, 0.6, 1.5), red = draw(rng, 0.9, 1.25);
-  return {0.24f * b * red, 0.20f * b, 0.15f * b};
+  const float b = draw(rng, 0.6, 1.25), red = draw(rng, 0.95, 1.15);
+  return {0.235f * b * red, 0.20f * b, 0.16f * b};
 }
 
 Colour car_colour(Rng& rng) {
@@ -58,8 +58,8 @@ Colour car_colour(Rng& rng) {
   if (u < 0.30) return {0.72f, 0.72f, 0.72f};
   if (u < 0.50) return {0.03f, 0.03f, 0.035f};
   if (u < 0.72) return {0.35f, 0.36f, 0.38f};
-  if (u < 0.82) return {0.40f, 0.05f, 0.04f};
-  if (u < 0.92) return {0.06f, 0.09f, 0.25f};
+  if (u < 0.82) return {0.26f, 0.06f, 0.05f};
+  if (u < 0.92) return {0.07f, 0.09f, 0.16f};
   return {0.30f, 0.26f, 0.16f};
 }
 
@@ -77,7 +77,7 @@ class Furnisher {
     s.half_width = static_cast<float>(f.half_width) * draw(r, 0.8, 1.3);
     s.pavement = static_cast<float>(f.pavement) * draw(r, 0.5, 1.4);
     s.marked = f.half_width > 4;
-    const float worn = draw(r, 0.7, 1.8);
+    const float worn = draw(r, 0.8, 2.4);
     s.colour = layout_.plan.kind == "rural" ? soil_colour(r)
                                             : Colour{0.105f * worn, 0.105f * worn, 0.108f * worn};
     if (f.block_u < 1e5) {
@@ -91,9 +91,9 @@ class Furnisher {
     for (std::size_t v = 0; v < V; ++v) {
       for (std::size_t u = 0; u < U; ++u) add_block(f, u, v, rng_.fork(16 + v * 4096 + u));
     }
-    const double spacing = layout_.plan.kind == "rough" ? r.uniform(2.2, 5) : r.uniform(4.5, 7);
+    const double spacing = layout_.plan.kind == "rough" ? r.uniform(1.8, 4) : r.uniform(4.5, 7);
     add_groves(layout_, rng_.fork(2), static_cast<float>(f.groves), static_cast<float>(spacing),
-               layout_.plan.kind == "rough" ? draw(r, 0.8, 3.5) : draw(r, 3, 6));
+               layout_.plan.kind == "rough" ? draw(r, 1.2, 4.5) : draw(r, 3, 6));
     if (f.block_u < 1e5) traffic(rng_.fork(3));
   }
 
@@ -288,7 +288,8 @@ void add_groves(Layout& layout, const Rng& rng, float density, float spacing, fl
     const float k = 6.2832f / draw(r, 20, 120), a = draw(r, 0, 6.2832);
     w = {k * std::cos(a), k * std::sin(a), draw(r, 0, 6.2832)};
   }
-  const bool conifers = r.chance(0.3);
+  const bool conifers = r.chance(0.3), wild = layout.plan.kind == "rough";
+  const auto boulders = static_cast<std::uint32_t>(r.chance(0.6) ? r.uniform(0, 500) : 0);
   const int n = static_cast<int>(2 * reach / spacing);
   const auto open_ground = [&](float x, float y) {
     const Streets& s = layout.streets;
@@ -306,24 +307,36 @@ void add_groves(Layout& layout, const Rng& rng, float density, float spacing, fl
     for (int j = 0; j < n; ++j) {
       const float x = -reach + spacing * (static_cast<float>(j) + draw(r, 0, 1));
       const float y = -reach + spacing * (static_cast<float>(i) + draw(r, 0, 1));
-      const float size = draw(r, 0.45, 1.15), tone = draw(r, 0.55, 1.4), tall = draw(r, 1.2, 2.4);
+      // On wild ground many small ones and few large: shrubs among trees.
+      const float spread = draw(r, 0, 1), tone = draw(r, 0.55, 1.4) * (wild ? 1.5f : 1.0f),
+                  tall = draw(r, 1.2, 2.4);
+      const float size = wild ? 0.25f + 0.95f * spread * spread : 0.45f + 0.7f * spread;
+      const float lone = draw(r, 0, 1);
       float clump = 0;
       for (const auto& w : waves) clump += std::sin(w[0] * x + w[1] * y + w[2]);
-      // A sum of six waves has deviation 1.73: the threshold gives about the wanted share of the
-      // ground.
-      if (clump < 4.0f * (0.5f - density) || !r.chance(0.85) || !open_ground(x, y)) continue;
+      // A sum of six waves has deviation 1.73: the threshold gives about the wanted share.
+      const bool inside = clump > 4.0f * (0.5f - density);
+      if (lone > (inside ? 0.85f : wild ? 0.05f : 0.0f) || !open_ground(x, y)) continue;
       if (!layout.shore.empty() && layout.at(layout.shore, x, y) < 2) continue;
       if (!layout.lane.empty() &&
-          std::abs(layout.at(layout.lane, x, y)) < layout.lane_half_width + size * radius)
+          std::abs(layout.at(layout.lane, x, y)) < layout.lane_half_width + size * radius) {
         continue;
+      }
       const auto seed = static_cast<std::uint32_t>(r.next_u64()) & ~1u;
-      layout.trees.push_back({x,
-                              y,
-                              size * radius,
-                              std::min(size * radius * tall * (conifers ? 1.8f : 1.0f), 22.0f),
-                              layout.at(layout.terrain, x, y),
-                              {0.042f * tone, 0.062f * tone, 0.030f * tone},
-                              seed | (conifers ? 1u : 0u)});
+      Tree t{x,
+             y,
+             size * radius,
+             std::min(size * radius * tall * (conifers ? 1.8f : 1.0f), 22.0f),
+             layout.at(layout.terrain, x, y),
+             {0.044f * tone, 0.060f * tone, 0.033f * tone},
+             seed | (conifers ? 1u : 0u)};
+      if (wild && ((seed >> 8) & 1023u) < boulders) {
+        t.material = Material::rock;
+        t.height = t.radius * (0.4f + 0.4f * tone);
+        t.colour = {0.27f * tone, 0.26f * tone, 0.24f * tone};
+        t.seed &= ~1u;
+      }
+      layout.trees.push_back(t);
     }
   }
 }

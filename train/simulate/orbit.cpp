@@ -100,8 +100,8 @@ rpc::Pixel PushBroom::project(const rpc::Geodetic& p) const {
     const Vec d = ground - f.position;
     return dot(f.forward, d) / dot(f.ahead, d);
   };
-  // Secant steps: the miss is almost linear in time. A step below 1e-5 lines leaves less than 1e-9, and
-  // shorter ones would divide rounding errors.
+  // Secant steps: the miss is almost linear in time. A step below 1e-5 lines leaves less than 1e-9,
+  // and shorter ones would divide rounding errors.
   double t0 = 0, m0 = miss(t0), t1 = 1.0 / acquisition_.line_rate_hz, m1 = miss(t1);
   for (int k = 0; k < 6 && m1 != m0; ++k) {
     const double t = t1 - m1 * (t1 - t0) / (m1 - m0);

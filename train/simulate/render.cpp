@@ -62,8 +62,8 @@ Tensor cast_shadows(const HeightField& field, const std::array<float, 3>& to_sun
 constexpr std::array<Colour, 6> kCarColours{{{0.72f, 0.72f, 0.72f},
                                              {0.03f, 0.03f, 0.035f},
                                              {0.35f, 0.36f, 0.38f},
-                                             {0.40f, 0.05f, 0.04f},
-                                             {0.06f, 0.09f, 0.25f},
+                                             {0.26f, 0.06f, 0.05f},
+                                             {0.07f, 0.09f, 0.16f},
                                              {0.30f, 0.26f, 0.16f}}};
 
 // Cars of one date are painted flat: a car and, beside it away from the sun, its shadow.
@@ -113,8 +113,8 @@ void park_visitors(const City& city, LitCity& lit) {
 
 class Shader {
  public:
-  Shader(const City& city, const LitCity& lit)
-      : city_(city), lit_(lit), cols_(city.field.z.dim(1)) {}
+  Shader(const City& city, const LitCity& lit, std::uint32_t waves)
+      : city_(city), lit_(lit), cols_(city.field.z.dim(1)), waves_(waves) {}
 
   // Radiance of what a ray meets at (x, y) local, m.
   Colour operator()(const ColumnField::Hit& hit, double x, double y) const {
@@ -149,7 +149,7 @@ class Shader {
           break;
         case Material::water: {
           const std::uint32_t h = hash(static_cast<std::int32_t>(hit.row / 2),
-                                       static_cast<std::int32_t>(hit.col / 3), d.seed);
+                                       static_cast<std::int32_t>(hit.col / 3), d.seed ^ waves_);
           for (std::size_t b = 0; b < 3; ++b) albedo[b] = d.water[b] * (1 + d.ripples * bell(h));
           break;
         }
@@ -232,6 +232,7 @@ class Shader {
   const City& city_;
   const LitCity& lit_;
   Index cols_;
+  std::uint32_t waves_;
 };
 
 }  // namespace
@@ -248,9 +249,10 @@ LitCity light_city(const City& city, const Daylight& light) {
 }
 
 Tensor render_view(const City& city, const ColumnField& columns, const LitCity& lit,
-                   const Quadratic& local_from_pixel, Index height, Index width) {
+                   const Quadratic& local_from_pixel, Index height, Index width,
+                   std::uint32_t waves) {
   auto out = Tensor::uninitialised({3, height, width});
-  const Shader shader(city, lit);
+  const Shader shader(city, lit, waves);
   const double high = columns.high(), low = columns.low(), drop = std::max(high - low, 1e-9);
   for_range(height, 4, [&](Index begin, Index end) {
     for (Index i = begin; i < end; ++i) {

@@ -37,16 +37,18 @@ LitCity light_city(const City& city, const Daylight& light);
 /// Radiance of every pixel: 2 x 2 samples, each the surface its ray meets.
 ///   L = albedo (sun max(0, n.l) lit + sky visible)
 /// local_from_pixel  localisation (x, y, z) -> local (x, y)
+/// waves             seed of the ripples on the water, which no two views share
 /// returns           [3 height width], linear
 Tensor render_view(const City& city, const ColumnField& columns, const LitCity& lit,
-                   const Quadratic& local_from_pixel, Index height, Index width);
+                   const Quadratic& local_from_pixel, Index height, Index width,
+                   std::uint32_t waves = 0);
 
 /// What atmosphere, instrument and ground segment do to radiance.
 struct Development {
   float haze = 0.02f;                 ///< airlight, radiance
   float psf_sigma = 0.5f;             ///< px
   float noise = 0.008f;               ///< deviation at full scale, as a share of it
-  float dark = 0.05f, bright = 0.9f;  ///< where the 2 and 98 % quantiles are put
+  float dark = 0.05f, bright = 0.9f;  ///< where the 1 and 99 % quantiles are put
   float gamma = 1.8f;
   Colour tint{1, 1, 1};
   bool panchromatic = false;  ///< luminance in all three channels

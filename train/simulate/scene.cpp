@@ -215,8 +215,10 @@ SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, 
     const Quadratic localisation =
         rpc::fit_localisation(view.rpc, scene.frame, window, {scene.h_min - 1, scene.h_max + 1});
     Rng r = root.fork(300 + static_cast<std::uint64_t>(v));
-    view.rgb = develop(render_view(city, columns, lit, localisation, config.pixels, config.pixels),
-                       draw_development(panchromatic, r));
+    const auto waves = static_cast<std::uint32_t>(r.next_u64());
+    view.rgb =
+        develop(render_view(city, columns, lit, localisation, config.pixels, config.pixels, waves),
+                draw_development(panchromatic, r));
     if (config.heights)
       view.height = heights_in_view(city.field, localisation, config.pixels, config.pixels);
     view.rpc.samp_off += r.uniform(-config.bias_px, config.bias_px);
