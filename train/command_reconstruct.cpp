@@ -260,10 +260,8 @@ void run_render(const RenderCommand& options) {
   const auto render =
       nn::render_view(content.surfels, nadir_camera(grid.x0, grid.y0, step), H, W, 1);
   if (png) return write_png(options.out, render.colour.value());
-  Tensor z = render.median_height.clone();
-  for (Index i = 0; i < z.count(); ++i)
-    if (render.alpha.value()[i] < 0.5f) z[i] = kNan;
-  write_field(options.out, z, grid, frame, frame.h0, rpc::ellipsoidal_height("Surface heights"));
+  write_field(options.out, surface_heights(render), grid, frame, frame.h0,
+              rpc::ellipsoidal_height("Surface heights"));
 }
 
 }  // namespace satsurf::train

@@ -126,9 +126,11 @@ std::vector<float> heights_of_patches(const Tensor& where, std::vector<char> bel
 }
 
 /// Lowest and highest height that is found more often than chance finds it. Chance matches are
-/// few and anywhere; what lies outside the middle nine tenths shows how few.
-std::pair<double, double> believable_span(std::vector<float> heights) {
-  constexpr double kBin = 10;  // m
+/// few and anywhere between z_low and z_high; what lies outside the middle nine tenths shows how
+/// few.
+std::pair<double, double> believable_span(std::vector<float> heights, double z_low, double z_high) {
+  constexpr double kBin = 10;           // m
+  constexpr double kLargestStep = 100;  // m with nothing in between; beyond it is another pattern
   std::sort(heights.begin(), heights.end());
   const double n = static_cast<double>(heights.size());
   const auto percentile = [&](double q) {
@@ -144,16 +146,27 @@ std::pair<double, double> believable_span(std::vector<float> heights) {
   };
   for (const float z : heights)
     if (outside(z)) ++count[bin_of(z)];
+  // The median over all bins outside, most of which only chance fills.
   std::vector<Index> sizes;
-  for (const auto& [bin, size] : count) sizes.push_back(size);
+  for (Index bin = bin_of(static_cast<float>(z_low)); bin <= bin_of(static_cast<float>(z_high));
+       ++bin)
+    if (const double middle = (static_cast<double>(bin) + 0.5) * kBin;
+        middle < core_low || middle > core_high)
+      sizes.push_back(count[bin]);
   std::sort(sizes.begin(), sizes.end());
   const double chance = sizes.empty() ? 0 : static_cast<double>(sizes[sizes.size() / 2]);
+  const auto believable = [&](float z) {
+    return static_cast<double>(count[bin_of(z)]) >= 0.0005 * n + 4 * chance;
+  };
   double low = core_low, high = core_high;
-  for (const float z : heights) {
-    if (outside(z) && static_cast<double>(count[bin_of(z)]) < 0.001 * n + 4 * chance) continue;
-    low = std::min(low, static_cast<double>(z));
-    high = std::max(high, static_cast<double>(z));
-  }
+  for (auto z = heights.rbegin(); z != heights.rend(); ++z)  // downwards from the core
+    if (const double h = static_cast<double>(*z);
+        h < low && low - h <= kLargestStep && believable(*z))
+      low = h;
+  for (const float z : heights)
+    if (const double h = static_cast<double>(z);
+        h > high && h - high <= kLargestStep && believable(z))
+      high = h;
   return {low, high};
 }
 
@@ -238,7 +251,7 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
                 std::to_string(z_low + scene.frame.h0) + " and " +
                 std::to_string(z_high + scene.frame.h0) + " m, expected " +
                 std::to_string(kFewest) + "; give --height-range LOW HIGH");
-  const auto [low, high] = believable_span(std::move(heights));
+  const auto [low, high] = believable_span(std::move(heights), z_low, z_high);
   return {low - kMargin, high + kMargin};
 }
 

@@ -12,7 +12,7 @@ namespace {
 
 constexpr Index kWholeImage = 1280;  // px; larger images are cut into tiles
 constexpr Index kTile = 768;         // px; keeps the largest volume near 0.3 GB
-constexpr float kOpaque = 0.5f;      // accumulated opacity from which a cell counts as seen
+constexpr double kAgreement = 2.5;   // m, between the heights two views give one point
 
 /// A rectangle of ground, local m.
 struct Ground {
@@ -148,38 +148,70 @@ splat::Surfels joined(const std::vector<splat::Surfels>& parts) {
           join(&splat::Surfels::colours), join(&splat::Surfels::aux)};
 }
 
-/// Surfels of valid pixels whose point another view sees too and whose ground belongs to this tile.
-std::vector<Index> trustworthy(const nn::SceneInput& input, const splat::Surfels& s,
-                               const Ground& tile, bool bounded) {
-  const Index N = static_cast<Index>(input.sources.size()), H = input.sources[0].rgb.dim(1),
-              W = input.sources[0].rgb.dim(2), P = H * W;
-  const Tensor& means = s.means.value();
-  std::vector<char> good(static_cast<std::size_t>(N * P), 0);
-  for_each_index(N * H, [&](Index row) {
-    const auto i = static_cast<std::size_t>(row / H);
-    for (Index x = 0; x < W; ++x) {
-      const Index p = (row % H) * W + x, k = static_cast<Index>(i) * P + p;
-      const float mx = means[3 * k], my = means[3 * k + 1];
-      if (input.sources[i].valid[p] <= 0) continue;
-      if (bounded && (mx < tile.x0 || mx >= tile.x1 || my < tile.y0 || my >= tile.y1)) continue;
-      for (std::size_t j = 0; j < input.sources.size(); ++j) {
-        if (j == i) continue;
-        const auto q = input.transfer[i][j](static_cast<double>(x), static_cast<double>(row % H),
-                                            static_cast<double>(means[3 * k + 2]));
-        const auto qx = static_cast<Index>(std::lround(q[0])),
-                   qy = static_cast<Index>(std::lround(q[1]));
-        if (qx >= 0 && qy >= 0 && qx < W && qy < H && input.sources[j].valid[qy * W + qx] > 0) {
-          good[static_cast<std::size_t>(k)] = 1;
-          break;
-        }
+/// Which surfels of a window to keep.
+class Sieve {
+ public:
+  Sieve(const nn::SceneInput& input, const nn::StageOutput<float>& stage)
+      : input_(input),
+        means_(stage.surfels.means.value()),
+        heights_(stage.height.value()),
+        H_(input.sources[0].rgb.dim(1)),
+        W_(input.sources[0].rgb.dim(2)) {}
+
+  /// Surfels of valid pixels whose point another view sees too and, if `tile` is given, lies in it.
+  /// Where images end some heights can be compared and others cannot; a pixel whose true height
+  /// is one of the latter gets a wrong one, so there another view has to agree.
+  std::vector<Index> kept(const Ground* tile) const {
+    const Index N = static_cast<Index>(input_.sources.size()), P = H_ * W_;
+    std::vector<char> good(static_cast<std::size_t>(N * P), 0);
+    for_each_index(N * H_, [&](Index row) {
+      const auto i = static_cast<std::size_t>(row / H_);
+      for (Index x = 0; x < W_; ++x) {
+        const Index p = (row % H_) * W_ + x, k = static_cast<Index>(i) * P + p;
+        const double mx = static_cast<double>(means_[3 * k]),
+                     my = static_cast<double>(means_[3 * k + 1]);
+        if (input_.sources[i].valid[p] <= 0) continue;
+        if (tile && (mx < tile->x0 || mx >= tile->x1 || my < tile->y0 || my >= tile->y1)) continue;
+        good[static_cast<std::size_t>(k)] = trusted(i, p, static_cast<double>(means_[3 * k + 2]));
       }
+    });
+    std::vector<Index> keep;
+    for (Index k = 0; k < N * P; ++k)
+      if (good[static_cast<std::size_t>(k)] != 0) keep.push_back(k);
+    return keep;
+  }
+
+ private:
+  bool trusted(std::size_t i, Index p, double z) const {
+    bool seen = false, whole_range = false;
+    for (std::size_t j = 0; j < input_.sources.size(); ++j) {
+      if (j == i) continue;
+      const Index there = landing(i, j, p, z);
+      if (there < 0) continue;
+      seen = true;
+      const float other = heights_[static_cast<Index>(j) * H_ * W_ + there];
+      if (std::abs(static_cast<double>(other) - z) < kAgreement) return true;
+      // The path over all heights is nearly straight: both ends inside mean all of it is.
+      whole_range = whole_range ||
+                    (landing(i, j, p, input_.z_low) >= 0 && landing(i, j, p, input_.z_high) >= 0);
     }
-  });
-  std::vector<Index> keep;
-  for (Index k = 0; k < N * P; ++k)
-    if (good[static_cast<std::size_t>(k)] != 0) keep.push_back(k);
-  return keep;
-}
+    return seen && whole_range;
+  }
+
+  /// Pixel of view j nearest to where it sees pixel p of view i if that lies at height z; -1: none.
+  Index landing(std::size_t i, std::size_t j, Index p, double z) const {
+    const auto q =
+        input_.transfer[i][j](static_cast<double>(p % W_), static_cast<double>(p / W_), z);
+    const auto x = static_cast<Index>(std::lround(q[0])), y = static_cast<Index>(std::lround(q[1]));
+    const bool inside =
+        x >= 0 && y >= 0 && x < W_ && y < H_ && input_.sources[j].valid[y * W_ + x] > 0;
+    return inside ? y * W_ + x : -1;
+  }
+
+  const nn::SceneInput& input_;
+  const Tensor &means_, &heights_;
+  Index H_, W_;
+};
 
 }  // namespace
 
@@ -188,6 +220,16 @@ Quadratic nadir_camera(double x0, double y0, double step) {
   q.coeff[0] = {-x0 / step - 0.5, 1 / step};
   q.coeff[1] = {y0 / step - 0.5, 0, -1 / step};
   return q;
+}
+
+Tensor surface_heights(const splat::Render& render) {
+  constexpr float kSeen = 0.05f;
+  Tensor z = render.median_height.clone();
+  for (Index i = 0; i < z.count(); ++i) {
+    const float alpha = render.alpha.value()[i];
+    if (!(alpha > 0.5f)) z[i] = alpha > kSeen ? render.height.value()[i] : std::nanf("");
+  }
+  return z;
 }
 
 Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
@@ -217,8 +259,9 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
         make_crop(scene, sources, std::nullopt, 0.5 * (tile.x0 + tile.x1),
                   0.5 * (tile.y0 + tile.y1), z, plan.window, scene.z_low, scene.z_high, false);
     const auto stages = model.forward(crop.input);
-    parts.push_back(selected(stages[2].surfels, trustworthy(crop.input, stages[2].surfels, tile,
-                                                            plan.tiles.size() > 1)));
+    parts.push_back(
+        selected(stages[2].surfels,
+                 Sieve(crop.input, stages[2]).kept(plan.tiles.size() > 1 ? &tile : nullptr)));
   }
 
   Reconstruction out;
@@ -234,18 +277,16 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
   const Index W = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - east) / step))),
               H = std::max<Index>(1, static_cast<Index>(std::ceil((north - ground.y0) / step)));
   const auto render = nn::render_view(out.surfels, nadir_camera(east, north, step), H, W, 1);
-  out.dsm = {render.median_height, east, north, step};
+  out.dsm = {surface_heights(render), east, north, step};
   out.confidence = Tensor({H, W}, std::nanf(""));
   Index seen = 0, expected = 0;
   for (Index i = 0; i < H * W; ++i) {
-    const float alpha = render.alpha.value()[i];
-    if (alpha > kOpaque && std::isfinite(out.dsm.z[i])) {
-      out.confidence[i] = render.aux.value()[i] / alpha;
+    if (std::isfinite(out.dsm.z[i])) {
+      out.confidence[i] = render.aux.value()[i] / render.alpha.value()[i];
       ++seen;
       ++expected;
       continue;
     }
-    out.dsm.z[i] = std::nanf("");
     const double x = east + (static_cast<double>(i % W) + 0.5) * step,
                  y = north - (static_cast<double>(i / W) + 0.5) * step;
     expected += views_seeing(scene, x, y, z) >= 2 ? 1 : 0;

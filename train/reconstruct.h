@@ -32,6 +32,11 @@ struct Reconstruction {
 Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
                            const ReconstructOptions& options);
 
+/// Heights of a rendered surface [H W]: the median, which keeps edges sharp, where at least half
+/// the light is stopped; the mean where surfels are sparser than that, as on ground seen at a
+/// grazing angle; NaN where next to nothing (less than 0.05) is.
+Tensor surface_heights(const splat::Render& render);
+
 /// The camera that looks straight down on the grid whose upper-left corner is local (x0, y0).
 Quadratic nadir_camera(double x0, double y0, double step);
 
