@@ -13,41 +13,37 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace satsurf::nn {
 namespace {
 
 constexpr std::array<Index, 3> kStrides{4, 2, 1};
 
-/// Each image by its own mean and deviation over valid pixels: dates differ in radiometry. Invalid
-/// pixels become 0.
+/// [1 3 H W]: an image by its own mean and deviation over valid pixels, for dates differ in
+/// radiometry. Invalid pixels become 0.
 template <class T>
-BasicTensor<T> standardised(const std::vector<View>& views) {
-  const Index N = static_cast<Index>(views.size()), H = views[0].rgb.dim(1),
-              W = views[0].rgb.dim(2), P = H * W;
-  auto out = BasicTensor<T>::uninitialised({N, 3, H, W});
-  for_each_index(N, [&](Index n) {
-    const View& v = views[static_cast<std::size_t>(n)];
-    double sum = 0, squares = 0, count = 0;
-    for (Index c = 0; c < 3; ++c)
-      for (Index i = 0; i < P; ++i) {
-        const double x = static_cast<double>(v.rgb[c * P + i]);
-        if (v.valid[i] <= 0) continue;
-        sum += x;
-        squares += x * x;
-        count += 1;
-      }
-    const double mean = count > 0 ? sum / count : 0;
-    const double variance = count > 0 ? std::max(squares / count - mean * mean, 0.0) : 0;
-    constexpr double kFlat =
-        1e-3;  // an image without contrast stays near zero instead of amplifying its noise
-    const double inverse = 1 / (std::sqrt(variance) + kFlat);
-    for (Index c = 0; c < 3; ++c)
-      for (Index i = 0; i < P; ++i)
-        out[(n * 3 + c) * P + i] =
-            v.valid[i] > 0
-                ? static_cast<T>((static_cast<double>(v.rgb[c * P + i]) - mean) * inverse)
-                : T(0);
+BasicTensor<T> standardised(const View& v) {
+  const Index H = v.rgb.dim(1), W = v.rgb.dim(2), P = H * W;
+  double sum = 0, squares = 0, count = 0;
+  for (Index c = 0; c < 3; ++c)
+    for (Index i = 0; i < P; ++i) {
+      const double x = static_cast<double>(v.rgb[c * P + i]);
+      if (v.valid[i] <= 0) continue;
+      sum += x;
+      squares += x * x;
+      count += 1;
+    }
+  const double mean = count > 0 ? sum / count : 0;
+  const double variance = count > 0 ? std::max(squares / count - mean * mean, 0.0) : 0;
+  constexpr double kFlat =
+      1e-3;  // an image without contrast stays near zero instead of amplifying its noise
+  const double inverse = 1 / (std::sqrt(variance) + kFlat);
+  auto out = BasicTensor<T>::uninitialised({1, 3, H, W});
+  for_each_index(3 * H, [&](Index row) {
+    for (Index i = row * W; i < (row + 1) * W; ++i)
+      out[i] = v.valid[i % P] > 0 ? static_cast<T>((static_cast<double>(v.rgb[i]) - mean) * inverse)
+                                  : T(0);
   });
   return out;
 }
@@ -158,7 +154,14 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
   const std::array<double, 3> intervals = hypothesis_intervals(config, scene);
   const double z_mid = 0.5 * (scene.z_low + scene.z_high);
 
-  const auto pyramid = parts_->features(BasicVar<T>(standardised<T>(scene.sources)));
+  // Views pass through the 2D nets one after the other: that takes a third of the memory.
+  std::array<std::vector<BasicVar<T>>, 3> levels;
+  for (const View& v : scene.sources) {
+    const auto features = parts_->features(BasicVar<T>(standardised<T>(v)));
+    for (std::size_t s = 0; s < 3; ++s) levels[s].push_back(features[s]);
+  }
+  std::array<BasicVar<T>, 3> pyramid;
+  for (std::size_t s = 0; s < 3; ++s) pyramid[s] = concat(std::exchange(levels[s], {}), 0);
   const BasicVar<T> images(stacked<T>(scene.sources, &View::rgb));
   const BasicVar<T> valid(stacked<T>(scene.sources, &View::valid));
 
@@ -203,14 +206,18 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
 
     // 4. One surfel per pixel.
     const BasicVar<T> image = stride == 1 ? images : area_downsample(images, stride);
-    const BasicVar<T> head_input = concat<T>(
-        {image, pyramid[s], stage.probability, reshape(stage.confidence, Shape{views, 1, h, w})},
-        1);
+    std::vector<BasicVar<T>> raw;
+    for (Index i = 0; i < views; ++i) {
+      const auto of_view = [i](const BasicVar<T>& x) { return slice(x, 0, i, i + 1); };
+      raw.push_back(parts_->stages[s].head(
+          concat<T>({of_view(image), of_view(pyramid[s]), of_view(stage.probability),
+                     reshape(of_view(stage.confidence), Shape{1, 1, h, w})},
+                    1)));
+    }
     std::vector<PixelGeometry> geometry;
     for (const View& v : scene.sources) geometry.push_back(pixel_geometry(v, z_mid, stride));
-    stage.surfels =
-        surfels_from_maps(parts_->stages[s].head(head_input), stage.height, image.value(),
-                          stage.confidence, geometry, config.rotation == "camera+residual");
+    stage.surfels = surfels_from_maps(concat(raw, 0), stage.height, image.value(), stage.confidence,
+                                      geometry, config.rotation == "camera+residual");
   }
   return out;
 }
