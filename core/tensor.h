@@ -36,6 +36,8 @@ class BasicTensor {
   Index rank() const { return shape_.rank(); }
   Index count() const { return empty() ? 0 : shape_.count(); }
   bool empty() const { return buffer_ == nullptr; }
+  /// Whether this is the only tensor that sees its buffer.
+  bool unshared() const { return buffer_.use_count() == 1; }
 
   T* data() { return buffer_.get(); }
   const T* data() const { return buffer_.get(); }

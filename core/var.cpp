@@ -64,6 +64,13 @@ BasicVar<T>::BasicVar(BasicTensor<T> value, bool wants_grad) : node_(std::make_s
 }
 
 template <class T>
+BasicTensor<T> BasicVar<T>::reuse_or_new() const {
+  const bool last =
+      NoGrad::active() && node_.use_count() == 1 && !node_->wants_grad && node_->value.unshared();
+  return last ? node_->value : BasicTensor<T>::uninitialised(shape());
+}
+
+template <class T>
 BasicVar<T> BasicVar<T>::record(const char* op, BasicTensor<T> value, std::vector<BasicVar> inputs,
                                 typename Node<T>::Backward backward) {
   if (NanGuard::active()) check_finite(value, op, "value");

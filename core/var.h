@@ -54,6 +54,10 @@ class BasicVar {
   const BasicTensor<T>& grad() const { return node_->grad; }
   BasicTensor<T>& mutable_grad() { return node_->grad; }
   void clear_grad() { node_->grad = {}; }
+  /// A tensor of this shape for an op's elementwise result: uninitialised or, where nobody could
+  /// read this value again (nothing is recorded, and this is its last copy), its own buffer.
+  /// For ops that take the argument by value.
+  BasicTensor<T> reuse_or_new() const;
   /// The same value, cut from the tape.
   BasicVar detach() const { return BasicVar(node_->value); }
 

@@ -4,6 +4,8 @@
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/elementwise.h"
 
+#include <utility>
+
 namespace satsurf::nn {
 
 template <class T>
@@ -21,12 +23,14 @@ CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, Index channels,
 }
 
 template <class T>
-BasicVar<T> CostNet<T>::operator()(const BasicVar<T>& volume) const {
+BasicVar<T> CostNet<T>::operator()(BasicVar<T> volume) const {
   const Index C = volume.dim(0), D = volume.dim(1), H = volume.dim(2), W = volume.dim(3);
-  std::vector<BasicVar<T>> skips{first_(reshape(volume, Shape{1, C, D, H, W}))};
+  // The volume is the largest tensor of all: without a tape it goes as soon as it has been read.
+  std::vector<BasicVar<T>> skips;
+  skips.push_back(first_(reshape(std::exchange(volume, {}), Shape{1, C, D, H, W})));
   for (const Level& l : levels_) skips.push_back(l.same(l.down(skips.back())));
-  BasicVar<T> x = skips.back();
-  for (std::size_t l = levels_.size(); l-- > 0;) x = skips[l] + levels_[l].up(x);
+  BasicVar<T> x = std::move(skips.back());
+  for (std::size_t l = levels_.size(); l-- > 0;) x = std::move(skips[l]) + levels_[l].up(x);
   return reshape(conv3d(x, last_, {}, {.padding = {1, 1, 1}}), Shape{1, D, H, W});
 }
 

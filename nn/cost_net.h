@@ -15,7 +15,7 @@ class CostNet {
   /// channels  of the variance volume; base and levels as in ModelConfig
   CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base, Index levels);
   /// volume [C D H W], D, H and W multiples of 2^levels; returns logits [1 D H W]
-  BasicVar<T> operator()(const BasicVar<T>& volume) const;
+  BasicVar<T> operator()(BasicVar<T> volume) const;
 
  private:
   struct Level {

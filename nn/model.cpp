@@ -193,10 +193,9 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
       for (std::size_t j = 0; j < N; ++j)
         maps.push_back(rescale_pixels(scene.transfer[i][j], static_cast<double>(stride),
                                       static_cast<double>(stride)));
-      const BasicVar<T> volume = plane_sweep_variance(
+      logits.push_back(parts_->stages[s].cost(plane_sweep_variance(
           pyramid[s], static_cast<Index>(i), maps, stage.hypotheses.slice0(static_cast<Index>(i)),
-          seen, config.variance_includes_reference);
-      logits.push_back(parts_->stages[s].cost(volume));
+          seen, config.variance_includes_reference)));
     }
 
     // 3. Heights and confidence.

@@ -37,9 +37,10 @@ T logistic(T x) {
 }  // namespace
 
 template <class T>
-BasicVar<T> add(const BasicVar<T>& a, const BasicVar<T>& b) {
+BasicVar<T> add(BasicVar<T> a, BasicVar<T> b) {
   check_equal("add", a, b);
-  auto out = BasicTensor<T>::uninitialised(a.shape());
+  auto out = a.reuse_or_new();
+  if (out.data() != a.value().data()) out = b.reuse_or_new();
   const T *pa = a.value().data(), *pb = b.value().data();
   T* y = out.data();
   each(out.count(), [=](Index i) { y[i] = pa[i] + pb[i]; });
@@ -154,8 +155,8 @@ BasicVar<T> softplus(const BasicVar<T>& x) {
   });
 }
 
-template BasicVar<float> add(const BasicVar<float>&, const BasicVar<float>&);
-template BasicVar<double> add(const BasicVar<double>&, const BasicVar<double>&);
+template BasicVar<float> add(BasicVar<float>, BasicVar<float>);
+template BasicVar<double> add(BasicVar<double>, BasicVar<double>);
 template BasicVar<float> sub(const BasicVar<float>&, const BasicVar<float>&);
 template BasicVar<double> sub(const BasicVar<double>&, const BasicVar<double>&);
 template BasicVar<float> mul(const BasicVar<float>&, const BasicVar<float>&);

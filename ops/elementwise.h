@@ -3,11 +3,14 @@
 
 #include "satsurf/core/var.h"
 
+#include <utility>
+
 namespace satsurf {
 
-/// a + b, element by element. a, b: equal shapes. throws ShapeError
+/// a + b, element by element. a, b: equal shapes; without a tape a temporary's buffer takes the
+/// sum. throws ShapeError
 template <class T>
-BasicVar<T> add(const BasicVar<T>& a, const BasicVar<T>& b);
+BasicVar<T> add(BasicVar<T> a, BasicVar<T> b);
 /// a - b. a, b: equal shapes. throws ShapeError
 template <class T>
 BasicVar<T> sub(const BasicVar<T>& a, const BasicVar<T>& b);
@@ -31,8 +34,8 @@ template <class T>
 BasicVar<T> softplus(const BasicVar<T>& x);
 
 template <class T>
-BasicVar<T> operator+(const BasicVar<T>& a, const BasicVar<T>& b) {
-  return add(a, b);
+BasicVar<T> operator+(BasicVar<T> a, BasicVar<T> b) {
+  return add(std::move(a), std::move(b));
 }
 template <class T>
 BasicVar<T> operator-(const BasicVar<T>& a, const BasicVar<T>& b) {

@@ -49,7 +49,7 @@ std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 }  // namespace
 
 template <class T>
-BasicVar<T> group_norm(const BasicVar<T>& x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
+BasicVar<T> group_norm(BasicVar<T> x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
                        Index groups, Activation activation, T epsilon) {
   const Shape& s = x.shape();
   if (s.rank() < 3 || s.count() == 0)
@@ -84,7 +84,7 @@ BasicVar<T> group_norm(const BasicVar<T>& x, const BasicVar<T>& gamma, const Bas
     shift[at(q)] = static_cast<T>(-r * (m + static_cast<double>(px[q * lay.per_group()])));
   }
 
-  auto out = BasicTensor<T>::uninitialised(s);
+  auto out = x.reuse_or_new();
   const auto apply = SATSURF_DISPATCH(norm_apply<T>);
   lay.each_chunk([&](Index row, Index, Index begin, Index end) {
     const Index c = row % C, q = row / group_channels;
@@ -138,9 +138,9 @@ BasicVar<T> group_norm(const BasicVar<T>& x, const BasicVar<T>& gamma, const Bas
   });
 }
 
-template BasicVar<float> group_norm(const BasicVar<float>&, const BasicVar<float>&,
-                                    const BasicVar<float>&, Index, Activation, float);
-template BasicVar<double> group_norm(const BasicVar<double>&, const BasicVar<double>&,
+template BasicVar<float> group_norm(BasicVar<float>, const BasicVar<float>&, const BasicVar<float>&,
+                                    Index, Activation, float);
+template BasicVar<double> group_norm(BasicVar<double>, const BasicVar<double>&,
                                      const BasicVar<double>&, Index, Activation, double);
 
 }  // namespace satsurf

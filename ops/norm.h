@@ -16,9 +16,10 @@ enum class Activation { none, relu, gelu };
 /// gamma  [C], beta [C]
 /// groups divides C
 /// throws ShapeError
-/// memory kept for backward: x itself and two numbers per group
+/// memory kept for backward: x itself and two numbers per group. Without a tape a temporary's
+/// buffer takes the result.
 template <class T>
-BasicVar<T> group_norm(const BasicVar<T>& x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
+BasicVar<T> group_norm(BasicVar<T> x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
                        Index groups, Activation activation = Activation::none, T epsilon = T(1e-5));
 
 }  // namespace satsurf

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/concat.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/pointwise_kernels.h"
 
@@ -151,4 +152,32 @@ TEST_CASE("elementwise ops refuse unequal shapes") {
   CHECK_THROWS_WITH_AS(add(a, b), "add: b has shape [3,2], expected [2,3] from a", ShapeError);
   CHECK_THROWS_WITH_AS(sub(a, b), "sub: b has shape [3,2], expected [2,3] from a", ShapeError);
   CHECK_THROWS_WITH_AS(mul(a, b), "mul: b has shape [3,2], expected [2,3] from a", ShapeError);
+}
+
+TEST_CASE("without a tape the last copy's buffer takes the result, and nobody else's") {
+  const Tensor a = Tensor::from({2, 2}, {1, 2, 3, 4}), b = Tensor::from({2, 2}, {10, 20, 30, 40});
+  const auto fresh = [](const Tensor& t) { return Var(t.clone()); };
+  {
+    const NoGrad no_grad;
+    Var left = fresh(a);
+    const float* const buffer = left.value().data();
+    const Var sum = add(std::move(left), Var(b));
+    CHECK(sum.value().data() == buffer);
+    CHECK(sum.value()[3] == 44);
+
+    const Var kept = fresh(a);  // another copy of the Var
+    CHECK(add(kept, Var(b)).value().data() != kept.value().data());
+    const Tensor seen = a.clone();  // another tensor on the buffer
+    CHECK(add(Var(seen), Var(seen)).value().data() != seen.data());
+    CHECK(seen[3] == 4);
+    const Var shaped = reshape(kept, Shape{4});
+    CHECK((kept + reshape(kept, Shape{2, 2})).value()[3] == 8);
+    CHECK(kept.value()[3] == 4);
+    Var leaf(a.clone(), true);  // a parameter
+    const float* const parameter = leaf.value().data();
+    CHECK(add(std::move(leaf), Var(b)).value().data() != parameter);
+  }
+  Var left = fresh(a);
+  const float* const buffer = left.value().data();
+  CHECK(add(std::move(left), Var(b)).value().data() != buffer);  // a tape might read it again
 }
