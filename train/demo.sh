@@ -8,7 +8,8 @@ cd "$(dirname "$0")/.."
 tests/build.sh release satsurf
 satsurf=build/release/bin/satsurf
 out=out/demo
-$satsurf simulate --out $out/scene --scenes 1 --views 3 --seed "${1:-2026}" --overwrite
+$satsurf simulate --out $out/scene --scenes 1 --views 3 --seed "${1:-2026}" \
+  --kinds city,suburb,village --water 0 --overwrite
 images=("$out"/scene/Track3-RGB/SIM_001_*_RGB.tif)
 truth=$out/scene/Track3-Truth/SIM_001_DSM.tif
 $satsurf info "${images[@]}"

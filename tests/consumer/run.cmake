@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # Installs the engine of BUILD into WORK, then builds and runs the project beside this file with it: once
 # through find_package, once through pkg-config.
-#   cmake -DBUILD=... -DWORK=... -DCONFIG=... -DCXX=... -DFLAGS=... -P run.cmake
+#   cmake -DBUILD=... -DWORK=... -DGENERATOR=... -DCONFIG=... -DCXX=... -DFLAGS=... -P run.cmake
 cmake_minimum_required(VERSION 3.25)
 file(REMOVE_RECURSE ${WORK})
 set(prefix ${WORK}/prefix)
@@ -9,7 +9,7 @@ set(quiet COMMAND_ERROR_IS_FATAL ANY OUTPUT_QUIET)
 
 execute_process(COMMAND ${CMAKE_COMMAND} --install ${BUILD} --prefix ${prefix} --component engine --config ${CONFIG}
                 ${quiet})
-execute_process(COMMAND ${CMAKE_COMMAND} -S ${CMAKE_CURRENT_LIST_DIR} -B ${WORK}/build
+execute_process(COMMAND ${CMAKE_COMMAND} -G ${GENERATOR} -S ${CMAKE_CURRENT_LIST_DIR} -B ${WORK}/build
                         -DCMAKE_BUILD_TYPE=${CONFIG} -DCMAKE_PREFIX_PATH=${prefix}
                         -DCMAKE_CXX_COMPILER=${CXX} -DCMAKE_CXX_FLAGS=${FLAGS} ${quiet})
 execute_process(COMMAND ${CMAKE_COMMAND} --build ${WORK}/build --config ${CONFIG} ${quiet})
