@@ -26,9 +26,13 @@ struct ConvTranspose3dOptions {
   std::array<Index, 3> output_padding{0, 0, 0};
 };
 
-/// 2D cross-correlation: out[b,o,y,x] = bias[o] + sum_{c,i,j} weight[o,c,i,j]
-/// x[b,c,y*sy+i-py,x*sx+j-px]. x       [B C H W] weight  [O C KH KW] bias    [O], or an empty Var
-/// for none returns [B O H' W'] with H' = (H + 2 py - KH) / sy + 1 (floor) throws  ShapeError
+/// 2D cross-correlation:
+///   out[b,o,y,x] = bias[o] + sum_{c,i,j} weight[o,c,i,j] x[b,c,y*sy+i-py,x*sx+j-px]
+/// x       [B C H W]
+/// weight  [O C KH KW]
+/// bias    [O], or an empty Var for none
+/// returns [B O H' W'] with H' = (H + 2 py - KH) / sy + 1 (floor)
+/// throws  ShapeError
 template <class T>
 BasicVar<T> conv2d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
                    const Conv2dOptions& options = {});

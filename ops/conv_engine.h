@@ -30,15 +30,16 @@ template <class T>
 void correlate(const ConvKernels<T>& kernels, const Geometry& geometry, const T* x, const T* weight,
                const T* bias, T* y, bool accumulate);
 
-/// The adjoint of `correlate` in x: x[b,c,n*stride+t-padding] = bias[c] + sum_{o,t} weight[o,c,t]
-/// y[b,o,n]. bias    [C], or nullptr x       [B C x_size], added to if `accumulate`, overwritten
-/// otherwise
+/// The adjoint of `correlate` in x:
+///   x[b,c,n*stride+t-padding] = bias[c] + sum_{o,t} weight[o,c,t] y[b,o,n]
+/// bias    [C], or nullptr
+/// x       [B C x_size], added to if `accumulate`, overwritten otherwise
 template <class T>
 void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& geometry, const T* y,
                        const T* weight, const T* bias, T* x, bool accumulate);
 
-/// The adjoint of `correlate` in the weight: dw[o,c,t] += sum_{b,n} dy[b,o,n]
-/// x[b,c,n*stride+t-padding].
+/// The adjoint of `correlate` in the weight:
+///   dw[o,c,t] += sum_{b,n} dy[b,o,n] x[b,c,n*stride+t-padding]
 template <class T>
 void correlate_weight_gradient(const ConvKernels<T>& kernels, const Geometry& geometry, const T* x,
                                const T* dy, T* dw);

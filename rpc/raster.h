@@ -62,9 +62,10 @@ void write_dfc_grid(const std::filesystem::path& path, const GeoGrid& grid, Inde
 enum class PixelType { uint8, uint16 };
 
 /// A satellite image as a tiled DEFLATE GeoTIFF with its camera in the RPC tag. Values are rounded
-/// and clipped to the pixel type. The same values give the same bytes. pixels    [C H W] metadata
-/// key = value pairs, read back as RasterInfo says (SUN_ELEVATION, SUN_AZIMUTH in degrees,
-///           ACQUISITION_DATE)
+/// and clipped to the pixel type. The same values give the same bytes.
+/// pixels    [C H W]
+/// metadata  key = value pairs, read back as RasterInfo says (SUN_ELEVATION, SUN_AZIMUTH in
+///           degrees, ACQUISITION_DATE)
 /// throws IoError, ShapeError
 void write_rpc_geotiff(const std::filesystem::path& path, const Tensor& pixels, PixelType type,
                        const Rpc& rpc, const std::map<std::string, std::string>& metadata = {});
