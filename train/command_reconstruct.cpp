@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
 #include "satsurf/core/var.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/splat/ply.h"
@@ -15,7 +16,9 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <functional>
 #include <limits>
+#include <utility>
 
 namespace satsurf::train {
 namespace {
@@ -62,19 +65,26 @@ double mean_of(const Tensor& t) {
 
 void write_pictures(const OutputFolder& folder, const Reconstruction& made, const Scene& scene,
                     Progress& progress) {
-  write_png(folder / "height.png", height_picture(made.dsm.z));
-  write_png(folder / "hillshade.png", hillshade_picture(made.dsm.z, made.dsm.step));
-  write_png(folder / "confidence.png", confidence_picture(made.confidence));
   fs::create_directories(folder / "views");
+  std::vector<std::pair<std::string, std::function<Tensor()>>> pictures{
+      {"height.png", [&] { return height_picture(made.dsm.z); }},
+      {"hillshade.png", [&] { return hillshade_picture(made.dsm.z, made.dsm.step); }},
+      {"confidence.png", [&] { return confidence_picture(made.confidence); }}};
   for (std::size_t i = 0; i < scene.views.size(); ++i) {
     progress.update("pictures", static_cast<double>(i) / static_cast<double>(scene.views.size()));
     const SceneView& view = scene.views[i];
     const Index H = view.rgb.dim(1), W = view.rgb.dim(2);
     const auto render = nn::render_view(
         made.surfels, camera_of(view.rpc, scene.frame, W, H, scene.z_low, scene.z_high), H, W, 1);
-    write_png(folder / ("views/" + view.name + "_render.png"), render.colour.value());
-    write_png(folder / ("views/" + view.name + "_source.png"), view.rgb);
+    pictures.push_back({"views/" + view.name + "_render.png",
+                        [colour = render.colour.value()] { return colour; }});
+    pictures.push_back({"views/" + view.name + "_source.png", [&view] { return view.rgb; }});
   }
+  // Compression takes as long as rendering, and one picture knows nothing of the other.
+  for_each_index(static_cast<Index>(pictures.size()), [&](Index i) {
+    const auto& [name, picture] = pictures[static_cast<std::size_t>(i)];
+    write_png(folder / name, picture());
+  });
   progress.update("pictures", 1);
 }
 

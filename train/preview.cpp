@@ -42,7 +42,7 @@ Tensor coloured(const char* where, const Tensor& unit, const char* map,
 
   Tensor filled = unit.clone();  // the colour map needs numbers everywhere
   for (float& v : filled.values()) v = std::isfinite(v) ? std::clamp(v, 0.f, 1.f) : 0.f;
-  const OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), 1, OIIO::TypeDesc::FLOAT);
+  OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), 1, OIIO::TypeDesc::FLOAT);
   const OIIO::ImageBuf source(spec, filled.data());
   const OIIO::ImageBuf rgb =
       knots.empty()
@@ -140,8 +140,9 @@ void write_png(const std::filesystem::path& path, const Tensor& picture) {
   OIIO::Filesystem::IOVecOutput memory(encoded);
   const std::unique_ptr<OIIO::ImageOutput> out = OIIO::ImageOutput::create("png");
   if (!out) throw IoError(where + ": " + OIIO::geterror());
-  const OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), static_cast<int>(C),
-                             OIIO::TypeDesc::UINT8);
+  OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), static_cast<int>(C),
+                       OIIO::TypeDesc::UINT8);
+  spec.attribute("png:compressionLevel", 4);  // of a preview time counts more than bytes
   out->set_ioproxy(&memory);
   if (!out->open(path.filename().string(), spec) ||
       !out->write_image(OIIO::TypeDesc::UINT8, bytes.data()) || !out->close())
