@@ -1,15 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/bench/bench.h"
 #include "satsurf/nn/adamw.h"
+#include "satsurf/nn/cost_net.h"
+#include "satsurf/nn/feature_net.h"
+#include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/model.h"
+#include "satsurf/nn/surfel_head.h"
+#include "satsurf/ops/concat.h"
+#include "satsurf/ops/cost_volume.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/loss.h"
-#include "satsurf/ops/reduce.h"
+#include "satsurf/ops/softmax.h"
+
+#include <fstream>
+#include <string>
 
 #include "tests/affine_scene.h"
-#include <benchmark/benchmark.h>
 
-namespace satsurf {
+/// The whole network, its parts and its training step. Their cost is that of the convolutions.
+namespace satsurf::bench {
 namespace {
+
+constexpr std::array<Index, 3> kStrides{4, 2, 1};
 
 nn::SceneInput bench_scene(Index side) {
   return test::affine_scene(
@@ -17,21 +29,122 @@ nn::SceneInput bench_scene(Index side) {
       [](double x, double y) { return 4 * std::cos(0.1 * x) * std::cos(0.08 * y); });
 }
 
+/// Multiply-adds per image of P pixels, layer by layer as in nn/feature_net.cpp.
+double feature_multiply_adds(const nn::ModelConfig& c, double P) {
+  const double b = number(c.base), full = 9 * (3 * b + b * b), half = 2 * b * b * (16 + 2 * 18),
+               quarter = 4 * b * 2 * b * 16 + 2 * 9 * 16 * b * b + 16 * b * b,
+               top_half = 2 * b * 4 * b + 9 * 4 * b * 2 * b, top_full = b * 4 * b + 9 * 4 * b * b;
+  return P * (full + top_full + (half + top_half) / 4 + quarter / 16);
+}
+
+/// The same for a volume of V points, as in nn/cost_net.cpp.
+double cost_multiply_adds(const nn::ModelConfig& c, double channels, double V) {
+  double sum = 27 * V * (channels + 1) * number(c.volume_base), b = number(c.volume_base);
+  for (Index l = 0; l < c.volume_levels; ++l, b *= 2) {
+    V /= 8;
+    sum += 27 * V * (2 * b * b + 4 * b * b + 2 * b * b);  // down, same, up
+  }
+  return sum;
+}
+
+/// The same for a map of P pixels, as in nn/surfel_head.cpp.
+double head_multiply_adds(double channels, double width, double P) {
+  return P * (9 * width * (channels + 2 * width) + width * nn::SurfelHead<float>::kOutputs);
+}
+
+double stage_multiply_adds(const nn::ModelConfig& c, std::size_t stage, double side) {
+  const double channels = number(c.base * kStrides[stage]), D = number(c.hypotheses[stage]),
+               P = side * side / number(kStrides[stage] * kStrides[stage]);
+  return cost_multiply_adds(c, channels, D * P) +
+         head_multiply_adds(3 + channels + D + 1, number(c.head_width[stage]), P);
+}
+
+Cost model_cost(const nn::ModelConfig& c, Index views, Index side) {
+  double sum = feature_multiply_adds(c, number(side * side));
+  for (std::size_t s = 0; s < 3; ++s) sum += stage_multiply_adds(c, s, number(side));
+  return {.flop = 2 * number(views) * sum};
+}
+
+/// The most memory this process held since the last `reset_peak_memory()`; 0 where Linux's /proc
+/// does not say.
+double peak_memory_bytes() {
+  std::ifstream status("/proc/self/status");
+  for (std::string line; std::getline(status, line);)
+    if (line.starts_with("VmHWM:")) return std::stod(line.substr(6)) * 1024;
+  return 0;
+}
+void reset_peak_memory() { std::ofstream("/proc/self/clear_refs") << 5; }
+
+/// Times `work` and notes the most memory it took: its tensors, and the whole process.
+template <class Work>
+void time_and_weigh(benchmark::State& state, const Cost& cost, const Work& work) {
+  release_limit_arrays();
+  release_tensor_cache();
+  reset_peak_tensor_bytes();
+  reset_peak_memory();
+  time_row(state, cost, work);
+  state.counters["peak_MB"] = static_cast<double>(peak_tensor_bytes()) * 1e-6;
+  state.counters["process_MB"] = peak_memory_bytes() * 1e-6;
+}
+
 void cascade_infer(benchmark::State& state) {
   const nn::Model model(nn::model_preset("base8"), 1);
   const auto scene = bench_scene(state.range(1));
   const NoGrad no_grad;
-  reset_peak_tensor_bytes();
-  for (auto _ : state) benchmark::DoNotOptimize(model.forward(scene)[2].height.value().data());
-  state.counters["peak_MB"] = static_cast<double>(peak_tensor_bytes()) * 1e-6;
+  time_and_weigh(state, model_cost(model.config(), state.range(0), state.range(1)),
+                 [&] { benchmark::DoNotOptimize(model.forward(scene)[2].height.value().data()); });
 }
-BENCHMARK(cascade_infer)
-    ->ArgNames({"views", "side"})
-    ->Args({3, 256})
-    ->Args({3, 512})
-    ->Args({3, 1024})
-    ->UseRealTime()
-    ->Unit(benchmark::kMillisecond);
+
+void features_infer(benchmark::State& state) {
+  const nn::ModelConfig config = nn::model_preset("base8");
+  nn::ParameterSet<float> parameters(1);
+  const nn::FeatureNet<float> features(parameters, config.base);
+  const Index N = state.range(0), side = state.range(1);
+  const Var images = normal({N, 3, side, side});
+  const NoGrad no_grad;
+  time_and_weigh(state,
+                 {.flop = 2 * number(N) * feature_multiply_adds(config, number(side * side))},
+                 [&] { benchmark::DoNotOptimize(features(images)[2].value().data()); });
+}
+
+/// One stage, from the features of all views to their surfels: step 2 to 4 of nn/model.cpp.
+void stage_infer(benchmark::State& state) {
+  const std::size_t stage = static_cast<std::size_t>(state.range(1)) - 1;
+  const nn::ModelConfig config = nn::model_preset("base8");
+  const Index N = state.range(0), stride = kStrides[stage], side = state.range(2) / stride,
+              C = config.base * stride, D = config.hypotheses[stage];
+  nn::ParameterSet<float> parameters(1);
+  const nn::CostNet<float> cost_net(parameters, "cost", C, config.volume_base,
+                                    config.volume_levels);
+  const nn::SurfelHead<float> head(parameters, "head", 3 + C + D + 1, config.head_width[stage]);
+  const auto scene = bench_scene(state.range(2));
+  std::vector<nn::PixelGeometry> geometry;
+  for (const nn::View& v : scene.sources) geometry.push_back(nn::pixel_geometry(v, 0, stride));
+  const double reach = stage == 0 ? 25 : 25 / number(Index{4} << stage);
+  const Tensor heights = nn::uniform_hypotheses<float>(-reach, reach, N, D, side, side);
+  const Var features = normal({N, C, side, side}), image = normal({N, 3, side, side});
+  const NoGrad no_grad;
+  const auto run = [&] {
+    std::vector<Var> logits;
+    for (std::size_t i = 0; i < scene.sources.size(); ++i) {
+      std::vector<Quadratic> maps;
+      for (const Quadratic& q : scene.transfer[i])
+        maps.push_back(rescale_pixels(q, number(stride), number(stride)));
+      const Index reference = static_cast<Index>(i);
+      logits.push_back(cost_net(
+          plane_sweep_variance(features, reference, maps, heights.slice0(reference), Tensor{})));
+    }
+    const Var p = softmax_hypotheses(concat(logits, 0)), height = expected_height(p, heights),
+              confidence = max_probability(p);
+    const Var raw =
+        head(concat<float>({image, features, p, reshape(confidence, Shape{N, 1, side, side})}, 1));
+    benchmark::DoNotOptimize(
+        nn::surfels_from_maps(raw, height, image.value(), confidence, geometry, true));
+  };
+  time_and_weigh(
+      state, {.flop = 2 * number(N) * stage_multiply_adds(config, stage, number(state.range(2)))},
+      run);
+}
 
 /// Forward, losses at all stages, a rendered view, backward, update.
 void train_step(benchmark::State& state) {
@@ -39,29 +152,41 @@ void train_step(benchmark::State& state) {
   nn::AdamW adam(model.parameters(), {});
   const Index side = state.range(1);
   const auto scene = bench_scene(side);
-  reset_peak_tensor_bytes();
-  for (auto _ : state) {
+  Cost cost = model_cost(model.config(), state.range(0), side);
+  cost.flop *= 3;
+  time_and_weigh(state, cost, [&] {
     model.parameters().clear_grads();
     Var total;
     for (const auto& s : model.forward(scene)) {
       const auto render =
           nn::render_view(s.surfels, scene.sources[0].pixel_from_local, side, side, s.stride);
-      const Var term = smooth_l1(s.height, Tensor(s.height.shape(), 0.f), {}, 1.f) +
-                       mse(render.colour, Tensor(render.colour.shape(), 0.5f), {});
+      const Var term = smooth_l1(s.height, Tensor(s.height.shape(), 0.F), {}, 1.F) +
+                       mse(render.colour, Tensor(render.colour.shape(), 0.5F), {});
       total = total.empty() ? term : total + term;
     }
     total.backward();
     nn::clip_gradient_norm(model.parameters(), 0.5);
     adam.step(1e-4);
-  }
-  state.counters["peak_MB"] = static_cast<double>(peak_tensor_bytes()) * 1e-6;
+  });
 }
-BENCHMARK(train_step)
-    ->ArgNames({"views", "side"})
-    ->Args({3, 128})
-    ->Args({3, 256})
-    ->UseRealTime()
-    ->Unit(benchmark::kMillisecond);
 
 }  // namespace
-}  // namespace satsurf
+
+void add_model_rows() {
+  const std::vector<std::string> names{"views", "side"};
+  for (const std::int64_t side : {256, 512, 1024})
+    benchmark::RegisterBenchmark("features_infer", features_infer)
+        ->ArgNames(names)
+        ->Args({3, side});
+  for (const std::int64_t side : {256, 512, 1024})
+    for (const std::int64_t stage : {1, 2, 3})
+      benchmark::RegisterBenchmark("stage_infer", stage_infer)
+          ->ArgNames({"views", "stage", "side"})
+          ->Args({3, stage, side});
+  for (const std::int64_t side : {256, 512, 1024})
+    benchmark::RegisterBenchmark("cascade_infer", cascade_infer)->ArgNames(names)->Args({3, side});
+  for (const std::int64_t side : {128, 256})
+    benchmark::RegisterBenchmark("train_step", train_step)->ArgNames(names)->Args({3, side});
+}
+
+}  // namespace satsurf::bench

@@ -1,111 +1,99 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/core/rng.h"
+#include "satsurf/bench/bench.h"
 #include "satsurf/ops/conv.h"
 
-#include <benchmark/benchmark.h>
-
-/// Convolutions at the network's shapes. FLOP/s counts two per multiply-add of the definition,
-/// padding included; fwd_bwd counts the forward pass and both gradients.
+/// Convolutions at the network's shapes.
+namespace satsurf::bench {
 namespace {
 
-using namespace satsurf;
-
-Var random_var(const Shape& shape, std::uint64_t seed) {
-  Rng rng(seed);
-  return Var(normal_tensor<float>(shape, rng), true);
-}
-
-void count_flops(benchmark::State& state, Index per_iteration) {
-  state.counters["FLOP/s"] = benchmark::Counter(static_cast<double>(per_iteration),
-                                                benchmark::Counter::kIsIterationInvariantRate);
-}
-
-/// A scalar whose backward pass hands `y` a gradient (of zeros), as the next op of a network would.
-Var root_of(const Var& y) {
-  return Var::record("root", Tensor::scalar(0.F), {y}, [](Node<float>& n) { n.grad_in(0); });
-}
-
-/// The forward pass alone, or followed by the backward pass.
-template <class Forward>
-void run(benchmark::State& state, bool backward, Index flops, const Forward& forward) {
-  if (!backward) {
-    const NoGrad no_grad;
-    for (auto _ : state) benchmark::DoNotOptimize(forward().value().data());
-    return count_flops(state, flops);
-  }
-  for (auto _ : state) root_of(forward()).backward();
-  count_flops(state, 3 * flops);
+/// The forward pass, and the forward pass with both gradients: the data gradient reads the output's
+/// gradient and writes the input's, the weight gradient reads the input again.
+OpCase conv_case(std::vector<Var> inputs, std::function<Var(const std::vector<Var>&)> op,
+                 Index multiply_adds, Index outputs) {
+  const double flop = 2 * number(multiply_adds), x = number(inputs[0].count()), y = number(outputs),
+               w = number(inputs[1].count());
+  return {std::move(inputs),
+          std::move(op),
+          {flop, bytes_of(x + y + w)},
+          {3 * flop, bytes_of(3 * x + 2 * y + 3 * w)}};
 }
 
 /// Arguments: images, input channels, output channels, side, kernel, stride.
-void conv2d_rows(benchmark::State& state, bool backward) {
-  const Index B = state.range(0), C = state.range(1), O = state.range(2), S = state.range(3),
-              K = state.range(4), s = state.range(5), p = (K - 1) / 2;
-  const Var x = random_var({B, C, S, S}, 1), w = random_var({O, C, K, K}, 2),
-            b = random_var({O}, 3);
-  run(state, backward, 2 * B * C * O * K * K * (S / s) * (S / s), [&] {
-    return conv2d(x, w, b, {.stride = {s, s}, .padding = {p, p}});
-  });
+OpCase conv2d_case(const benchmark::State& s) {
+  const Index B = s.range(0), C = s.range(1), O = s.range(2), S = s.range(3), K = s.range(4),
+              stride = s.range(5), P = (K - 1) / 2, side = (S + 2 * P - K) / stride + 1,
+              outputs = B * O * side * side;
+  return conv_case(
+      {normal({B, C, S, S}), normal({O, C, K, K}, 2), normal({O}, 3)},
+      [=](const std::vector<Var>& v) {
+        return conv2d(v[0], v[1], v[2], {.stride = {stride, stride}, .padding = {P, P}});
+      },
+      outputs * C * K * K, outputs);
 }
 
 /// Arguments: images, input channels, output channels, depth, side, stride.
-void conv3d_rows(benchmark::State& state, bool backward) {
-  const Index B = state.range(0), C = state.range(1), O = state.range(2), D = state.range(3),
-              S = state.range(4), s = state.range(5);
-  const Var x = random_var({B, C, D, S, S}, 1), w = random_var({O, C, 3, 3, 3}, 2);
-  run(state, backward, 2 * B * C * O * 27 * (D / s) * (S / s) * (S / s), [&] {
-    return conv3d(x, w, Var(), {.stride = {s, s, s}, .padding = {1, 1, 1}});
-  });
+OpCase conv3d_case(const benchmark::State& s) {
+  const Index B = s.range(0), C = s.range(1), O = s.range(2), D = s.range(3), S = s.range(4),
+              stride = s.range(5), outputs = B * O * (D / stride) * (S / stride) * (S / stride);
+  return conv_case(
+      {normal({B, C, D, S, S}), normal({O, C, 3, 3, 3}, 2)},
+      [=](const std::vector<Var>& v) {
+        return conv3d(v[0], v[1], Var(),
+                      {.stride = {stride, stride, stride}, .padding = {1, 1, 1}});
+      },
+      outputs * C * 27, outputs);
 }
 
 /// Arguments: images, input channels, output channels, depth, side; doubles every axis.
-void conv_transpose3d_rows(benchmark::State& state, bool backward) {
-  const Index B = state.range(0), C = state.range(1), O = state.range(2), D = state.range(3),
-              S = state.range(4);
-  const Var x = random_var({B, C, D, S, S}, 1), w = random_var({C, O, 3, 3, 3}, 2);
-  run(state, backward, 2 * B * C * O * 27 * D * S * S, [&] {
-    return conv_transpose3d(
-        x, w, Var(), {.stride = {2, 2, 2}, .padding = {1, 1, 1}, .output_padding = {1, 1, 1}});
-  });
+OpCase conv_transpose3d_case(const benchmark::State& s) {
+  const Index B = s.range(0), C = s.range(1), O = s.range(2), D = s.range(3), S = s.range(4);
+  return conv_case(
+      {normal({B, C, D, S, S}), normal({C, O, 3, 3, 3}, 2)},
+      [](const std::vector<Var>& v) {
+        return conv_transpose3d(
+            v[0], v[1], Var(),
+            {.stride = {2, 2, 2}, .padding = {1, 1, 1}, .output_padding = {1, 1, 1}});
+      },
+      B * C * O * 27 * D * S * S, B * O * 8 * D * S * S);
 }
-
-void conv2d_fwd(benchmark::State& state) { conv2d_rows(state, false); }
-void conv2d_fwd_bwd(benchmark::State& state) { conv2d_rows(state, true); }
-void conv3d_fwd(benchmark::State& state) { conv3d_rows(state, false); }
-void conv3d_fwd_bwd(benchmark::State& state) { conv3d_rows(state, true); }
-void conv_transpose3d_fwd(benchmark::State& state) { conv_transpose3d_rows(state, false); }
-void conv_transpose3d_fwd_bwd(benchmark::State& state) { conv_transpose3d_rows(state, true); }
-
-void shapes_2d(benchmark::internal::Benchmark* b) {
-  b->ArgNames({"B", "C", "O", "side", "k", "s"})->UseRealTime()->Unit(benchmark::kMicrosecond);
-  b->Args({3, 3, 8, 256, 3, 1})->Args({3, 8, 8, 256, 3, 1});
-  b->Args({3, 16, 16, 128, 3, 1})->Args({3, 32, 32, 64, 3, 1});
-  b->Args({3, 8, 16, 256, 4, 2})->Args({3, 16, 32, 128, 4, 2});
-  b->Args({3, 32, 32, 64, 1, 1})->Args({3, 8, 32, 256, 1, 1});
-  b->Args({1, 99, 64, 64, 3, 1})->Args({1, 64, 64, 64, 3, 1});
-  b->Args({1, 51, 48, 128, 3, 1})->Args({1, 48, 48, 128, 3, 1});
-  b->Args({1, 19, 32, 256, 3, 1})->Args({1, 32, 32, 256, 3, 1})->Args({1, 32, 10, 256, 3, 1});
-}
-
-void shapes_3d(benchmark::internal::Benchmark* b) {
-  b->ArgNames({"B", "C", "O", "D", "side", "s"})->UseRealTime()->Unit(benchmark::kMicrosecond);
-  b->Args({1, 8, 8, 48, 64, 1})->Args({1, 8, 8, 32, 128, 1})->Args({1, 8, 8, 8, 256, 1});
-  b->Args({1, 32, 8, 48, 64, 1})->Args({1, 16, 8, 32, 128, 1})->Args({1, 8, 1, 48, 64, 1});
-  b->Args({1, 16, 16, 24, 32, 1})->Args({1, 32, 32, 12, 16, 1})->Args({1, 64, 64, 6, 8, 1});
-  b->Args({1, 8, 16, 48, 64, 2})->Args({1, 16, 32, 24, 32, 2})->Args({1, 32, 64, 12, 16, 2});
-}
-
-void shapes_up(benchmark::internal::Benchmark* b) {
-  b->ArgNames({"B", "C", "O", "D", "side"})->UseRealTime()->Unit(benchmark::kMicrosecond);
-  b->Args({1, 64, 32, 6, 8})->Args({1, 32, 16, 12, 16})->Args({1, 16, 8, 24, 32});
-  b->Args({1, 16, 8, 4, 128});
-}
-
-BENCHMARK(conv2d_fwd)->Apply(shapes_2d);
-BENCHMARK(conv2d_fwd_bwd)->Apply(shapes_2d);
-BENCHMARK(conv3d_fwd)->Apply(shapes_3d);
-BENCHMARK(conv3d_fwd_bwd)->Apply(shapes_3d);
-BENCHMARK(conv_transpose3d_fwd)->Apply(shapes_up);
-BENCHMARK(conv_transpose3d_fwd_bwd)->Apply(shapes_up);
 
 }  // namespace
+
+void add_conv_rows() {
+  add_op("conv3d", {"B", "C", "O", "D", "side", "s"},
+         {{1, 8, 8, 48, 64, 1},
+          {1, 8, 8, 32, 128, 1},
+          {1, 8, 8, 8, 256, 1},
+          {1, 32, 8, 48, 64, 1},
+          {1, 32, 8, 64, 64, 1},
+          {1, 16, 8, 32, 128, 1},
+          {1, 8, 1, 48, 64, 1},
+          {1, 8, 1, 64, 64, 1},
+          {1, 16, 16, 24, 32, 1},
+          {1, 32, 32, 12, 16, 1},
+          {1, 64, 64, 6, 8, 1},
+          {1, 8, 16, 48, 64, 2},
+          {1, 8, 16, 32, 128, 2},
+          {1, 8, 16, 8, 256, 2},
+          {1, 16, 32, 24, 32, 2},
+          {1, 32, 64, 12, 16, 2}},
+         conv3d_case);
+  add_op("conv_transpose3d", {"B", "C", "O", "D", "side"},
+         {{1, 64, 32, 6, 8},
+          {1, 32, 16, 12, 16},
+          {1, 16, 8, 24, 32},
+          {1, 16, 8, 16, 64},
+          {1, 16, 8, 4, 128}},
+         conv_transpose3d_case);
+  add_op("conv2d", {"B", "C", "O", "side", "k", "s"},
+         {{3, 8, 8, 1024, 3, 1},  {3, 16, 16, 512, 3, 1}, {3, 32, 32, 256, 3, 1},
+          {3, 3, 8, 256, 3, 1},   {3, 8, 8, 256, 3, 1},   {3, 16, 16, 128, 3, 1},
+          {3, 32, 32, 64, 3, 1},  {3, 8, 16, 256, 4, 2},  {3, 16, 32, 128, 4, 2},
+          {3, 64, 64, 128, 1, 1}, {3, 32, 32, 64, 1, 1},  {3, 8, 32, 256, 1, 1},
+          {3, 32, 16, 128, 3, 1}, {3, 32, 8, 256, 3, 1},  {3, 100, 64, 64, 3, 1},
+          {3, 64, 64, 64, 3, 1},  {3, 52, 48, 128, 3, 1}, {3, 48, 48, 128, 3, 1},
+          {3, 20, 32, 256, 3, 1}, {3, 32, 10, 256, 1, 1}},
+         conv2d_case);
+}
+
+}  // namespace satsurf::bench

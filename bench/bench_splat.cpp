@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/bench/bench.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/splat/rasterize.h"
@@ -6,9 +7,7 @@
 #include <array>
 #include <cmath>
 
-#include <benchmark/benchmark.h>
-
-namespace satsurf {
+namespace satsurf::bench {
 namespace {
 
 /// What the network hands to the renderer: three sheets of surfels, each about a pixel wide and
@@ -58,40 +57,66 @@ Scene make_scene(Index P, Index side) {
   return s;
 }
 
+/// What must be touched: 13 numbers of a surfel and 6 of its projection; 9 maps. Sorting and
+/// blending, which take most of the time, depend on the scene and are not counted.
+Cost forward_cost(const benchmark::State& state) {
+  return {.bytes = bytes_of(19 * number(state.range(0)) +
+                            9 * number(state.range(1)) * number(state.range(1)))};
+}
+/// The surfels again and their gradients; 5 maps.
+Cost backward_cost(const benchmark::State& state) {
+  return {.bytes = bytes_of(32 * number(state.range(0)) +
+                            5 * number(state.range(1)) * number(state.range(1)))};
+}
+
 void splat_fwd(benchmark::State& state) {
   const Scene s = make_scene(state.range(0), state.range(1));
   const NoGrad no_grad;
-  for (auto _ : state) benchmark::DoNotOptimize(splat::rasterize(s.surfels, s.camera, s.options));
-  state.SetItemsProcessed(state.iterations() * state.range(0));
+  time_row(state, forward_cost(state),
+           [&] { benchmark::DoNotOptimize(splat::rasterize(s.surfels, s.camera, s.options)); });
 }
 
 /// The backward pass alone, through colour, height and opacity.
 void splat_bwd(benchmark::State& state) {
   const Scene s = make_scene(state.range(0), state.range(1));
   const Index side = state.range(1);
-  const Tensor seed({5, side, side}, 0.1f);
-  for (auto _ : state) {
-    state.PauseTiming();
-    const splat::Render r = splat::rasterize(s.surfels, s.camera, s.options);
-    const Var out = concat<float>(
-        {r.colour, reshape(r.height, {1, side, side}), reshape(r.alpha, {1, side, side})}, 0);
-    state.ResumeTiming();
-    out.backward(seed);
-    state.PauseTiming();
+  const Tensor seed({5, side, side}, 0.1F);
+  Var out;
+  const auto render = [&] {
     for (Var v :
          {s.surfels.means, s.surfels.quats, s.surfels.scales, s.surfels.opacity, s.surfels.colours})
       v.clear_grad();
-    state.ResumeTiming();
-  }
-  state.SetItemsProcessed(state.iterations() * state.range(0));
+    const splat::Render r = splat::rasterize(s.surfels, s.camera, s.options);
+    out = concat<float>(
+        {r.colour, reshape(r.height, {1, side, side}), reshape(r.alpha, {1, side, side})}, 0);
+  };
+  time_row(state, backward_cost(state), render, [&] { out.backward(seed); });
 }
 
-void sizes(benchmark::internal::Benchmark* b) {
-  b->ArgNames({"surfels", "side"})->Args({65536, 256})->Args({196608, 256})->Args({3145728, 1024});
-  b->UseRealTime()->Unit(benchmark::kMillisecond);
+/// Positions and 2 x 3 Jacobians of all centres.
+void splat_project(benchmark::State& state) {
+  const Scene s = make_scene(state.range(0), state.range(1));
+  Quadratic camera;
+  camera.coeff[0] = {128, 2, 0.05, 0.4, 1e-5, 2e-5, 1e-5, 0, 0, 1e-5};
+  camera.coeff[1] = {128, 0.03, -2, -0.5, 1e-5, 0, 2e-5, 1e-5, 1e-5, 0};
+  time_row(state, {.bytes = bytes_of(11 * number(state.range(0)))}, [&] {
+    benchmark::DoNotOptimize(splat::project(s.surfels.means.value(), camera).pixels.data());
+  });
 }
-BENCHMARK(splat_fwd)->Apply(sizes);
-BENCHMARK(splat_bwd)->Apply(sizes);
 
 }  // namespace
-}  // namespace satsurf
+
+void add_splat_rows() {
+  const auto add = [](const char* name, void (*row)(benchmark::State&)) {
+    benchmark::RegisterBenchmark(name, row)
+        ->ArgNames({"surfels", "side"})
+        ->Args({65536, 256})
+        ->Args({196608, 256})
+        ->Args({3145728, 1024});
+  };
+  add("splat_project", splat_project);
+  add("splat_fwd", splat_fwd);
+  add("splat_bwd", splat_bwd);
+}
+
+}  // namespace satsurf::bench
