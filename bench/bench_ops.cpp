@@ -23,6 +23,11 @@ OpCase passes(Vars inputs, std::function<Var(const Vars&)> op, double forward, d
   return {std::move(inputs), std::move(op), {0, forward * one}, {0, both * one}};
 }
 
+/// B images of C channels, or of logits.
+Var batch(const benchmark::State& s) {
+  return normal({s.range(0), s.range(1), s.range(2), s.range(2)});
+}
+
 /// Three images of C channels.
 Var maps(const benchmark::State& s, std::uint64_t seed = 1) {
   return normal({3, s.range(0), s.range(1), s.range(1)}, seed);
@@ -100,16 +105,16 @@ void add_layout_rows() {
     return passes(
         {maps(s)}, [](const Vars& v) { return pixels_from_map(v[0]); }, 2, 4);
   });
-  const Shapes doubled{{32, 128}, {32, 256}};
-  add_op("resize_nearest_x2", names, doubled, [](const benchmark::State& s) {
-    const Index side = 2 * s.range(1);
+  const Shapes doubled{{3, 32, 128}, {1, 32, 256}};
+  add_op("resize_nearest_x2", {"B", "C", "side"}, doubled, [=](const benchmark::State& s) {
+    const Index side = 2 * s.range(2);
     return passes(
-        {maps(s)}, [=](const Vars& v) { return resize_nearest(v[0], side, side); }, 5, 10);
+        {batch(s)}, [=](const Vars& v) { return resize_nearest(v[0], side, side); }, 5, 10);
   });
-  add_op("resize_bilinear_x2", names, doubled, [](const benchmark::State& s) {
-    const Index side = 2 * s.range(1);
+  add_op("resize_bilinear_x2", {"B", "C", "side"}, doubled, [=](const benchmark::State& s) {
+    const Index side = 2 * s.range(2);
     return passes(
-        {maps(s)}, [=](const Vars& v) { return resize_bilinear(v[0], side, side); }, 5, 10);
+        {batch(s)}, [=](const Vars& v) { return resize_bilinear(v[0], side, side); }, 5, 10);
   });
   add_op("area_downsample_x4", names, {{3, 1024}}, [](const benchmark::State& s) {
     return passes(
@@ -137,29 +142,26 @@ Tensor hypotheses(Index B, Index D, Index side) {
 
 void add_softmax_rows() {
   const std::vector<std::string> names{"B", "D", "side"};
-  const Shapes shapes{{3, 64, 64}, {3, 32, 128}, {3, 8, 256}, {1, 64, 256}};
-  const auto logits = [](const benchmark::State& s) {
-    return normal({s.range(0), s.range(1), s.range(2), s.range(2)});
-  };
+  const Shapes shapes{{3, 64, 64}, {3, 32, 128}, {3, 8, 256}, {1, 48, 256}, {1, 64, 256}};
   add_op("softmax_hypotheses", names, shapes, [=](const benchmark::State& s) {
     return passes(
-        {logits(s)}, [](const Vars& v) { return softmax_hypotheses(v[0]); }, 2, 5);
+        {batch(s)}, [](const Vars& v) { return softmax_hypotheses(v[0]); }, 2, 5);
   });
   add_op("expected_height", names, shapes, [=](const benchmark::State& s) {
     const Tensor heights = hypotheses(s.range(0), s.range(1), s.range(2));
     return passes(
-        {logits(s)}, [=](const Vars& v) { return expected_height(v[0], heights); }, 2, 4);
+        {batch(s)}, [=](const Vars& v) { return expected_height(v[0], heights); }, 2, 4);
   });
   add_op("max_probability", names, shapes, [=](const benchmark::State& s) {
     return passes(
-        {logits(s)}, [](const Vars& v) { return max_probability(v[0]); }, 1, 2);
+        {batch(s)}, [](const Vars& v) { return max_probability(v[0]); }, 1, 2);
   });
   // Reads logits and heights, writes probabilities (the next stage reads them); backward reads
   // probabilities and heights and writes. Height and confidence are 1/D of a pass.
   add_op("softmax_expectation_max", names, shapes, [=](const benchmark::State& s) {
     const Tensor heights = hypotheses(s.range(0), s.range(1), s.range(2));
     return passes(
-        {logits(s)},
+        {batch(s)},
         [=](const Vars& v) {
           const Var p = softmax_hypotheses(v[0]);
           return add(expected_height(p, heights), max_probability(p));
@@ -213,8 +215,8 @@ void add_op_rows() {
   add_pointwise_rows();
   add_layout_rows();
   add_softmax_rows();
-  add_op("plane_sweep_variance", volume_names, {{32, 64, 64}, {16, 32, 128}, {8, 8, 256}},
-         plane_sweep_case);
+  add_op("plane_sweep_variance", volume_names,
+         {{32, 64, 64}, {32, 48, 64}, {16, 32, 128}, {8, 8, 256}}, plane_sweep_case);
   add_op("matmul", {"M", "K", "N"},
          {{1369, 384, 1536}, {1369, 1536, 384}, {1370, 384, 1152}, {16384, 64, 64}}, matmul_case);
 }
