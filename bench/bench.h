@@ -37,7 +37,7 @@ void release_limit_arrays();
 class LimitProbe {
  public:
   explicit LimitProbe(const Cost& cost) : cost_(cost) {}
-  /// To be called after each run: measures now and then, in proportion to the time of the runs.
+  /// To be called after each run: measures now and then, for about as long as the run.
   void after(double run_seconds);
   /// Medians of what was measured; 0 for a limit that the cost does not refer to.
   Limits typical();

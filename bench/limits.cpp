@@ -146,10 +146,11 @@ const Limits& limits() {
 void release_limit_arrays() { triad_slot().reset(); }
 
 void LimitProbe::after(double run_seconds) {
-  constexpr double kEvery = 0.04, kPart = 0.03;
+  // About as long as the run, so that both suffer alike when other programs take the processor.
+  constexpr double kEvery = 0.04, kLongest = 0.25;
   due_ += run_seconds;
   if (due_ < kEvery) return;
-  measure(kPart * due_);
+  measure(std::min(run_seconds, kLongest));
   due_ = 0;
 }
 
