@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <regex>
+#include <vector>
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
@@ -18,6 +19,12 @@ using test::error_of, test::read_bytes, test::write_bytes;
 namespace fs = std::filesystem;
 
 namespace {
+
+/// Makes a folder look like one that a run has left.
+void leave_run(const fs::path& folder) {
+  fs::create_directories(folder);
+  write_bytes(folder / "run.json", R"({"program": "satsurf", "command": "reconstruct"})");
+}
 
 std::ptrdiff_t entries(const fs::path& folder) {
   return std::distance(fs::directory_iterator(folder), {});
@@ -103,7 +110,7 @@ TEST_CASE("output folder: staged files appear together, or not at all") {
       CHECK(!fs::exists(out));
       CHECK(staged.path().parent_path() == fs::weakly_canonical(out.parent_path()));
     }
-    CHECK(entries(folder / "new") == 0);
+    CHECK(fs::is_empty(folder.path()));
   }
   SUBCASE("dropped by an exception after a move") {
     CHECK(error_of<Error>([&] {
@@ -112,7 +119,7 @@ TEST_CASE("output folder: staged files appear together, or not at all") {
             write_bytes(second / "dsm.tif", "half");
             throw Error("stop");
           }) == "stop");
-    CHECK(entries(folder / "new") == 0);
+    CHECK(fs::is_empty(folder.path()));
   }
   SUBCASE("committed, also into a folder that is there and empty, or named with a slash") {
     fs::create_directories(out);
@@ -132,18 +139,17 @@ TEST_CASE("output folder: staged files appear together, or not at all") {
 TEST_CASE("output folder: what exists is replaced only when asked, and only when done") {
   const test::TempFolder folder("existing");
   const fs::path out = folder / "out";
-  fs::create_directories(out);
+  leave_run(out);
   write_bytes(out / "old.tif", "old");
   const std::string refusal = "out: " + out.string() + " exists and is not empty; use --overwrite";
   CHECK(error_of<IoError>([&] { OutputFolder::staged(out, false); }) == refusal);
-  CHECK(error_of<IoError>([&] { OutputFolder::in_place(out, OutputFolder::Existing::refuse); }) ==
-        refusal);
   CHECK(entries(folder.path()) == 1);
 
   { const OutputFolder dropped = OutputFolder::staged(out, true); }
   CHECK(read_bytes(out / "old.tif") == "old");
   {
     OutputFolder staged = OutputFolder::staged(out, true);
+    leave_run(staged.path());
     write_bytes(staged / "new.tif", "new");
     CHECK(fs::exists(out / "old.tif"));
     staged.commit();
@@ -173,23 +179,78 @@ TEST_CASE("output folder: what exists is replaced only when asked, and only when
   }
 }
 
-TEST_CASE("output folder: in place, files stay through failures") {
-  using Existing = OutputFolder::Existing;
+TEST_CASE("output folder: only a run of the program is overwritten, and no input") {
+  const test::TempFolder folder("overwrite");
+  const fs::path out = folder / "out";
+  fs::create_directories(out);
+  write_bytes(out / "thesis.txt", "years");
+  const auto refused = [&](const std::vector<fs::path>& inputs = {}) {
+    const std::string text = error_of<IoError>([&] { OutputFolder::staged(out, true, inputs); });
+    CHECK(read_bytes(out / "thesis.txt") == "years");
+    CHECK(!fs::exists(out.string() + ".partial-" + std::to_string(::getpid())));
+    return text;
+  };
+  const std::string no_run = "out: " + out.string() +
+                             " holds no run.json of an earlier run, expected one for --overwrite; "
+                             "name another folder";
+  CHECK(refused() == no_run);
+  for (const char* other : {"{}", "[1]", "{", R"({"program": "another", "command": "train"})",
+                            R"({"program": "satsurf", "command": "evaluate"})"}) {
+    write_bytes(out / "run.json", other);
+    CHECK(refused() == no_run);
+  }
+  leave_run(out);
+  write_bytes(folder / "elsewhere.tif", "");
+  fs::create_symlink(out / "thesis.txt", folder / "to-inside");
+  fs::create_symlink(folder / "elsewhere.tif", out / "to-outside");
+  for (const fs::path& input : {out, out / "thesis.txt", out / "to-outside", out / "missing.tif",
+                                folder / "to-inside", folder / "elsewhere.tif/../out/thesis.txt"})
+    CHECK(refused({folder / "elsewhere.tif", {}, input}) ==
+          "out: " + out.string() + " holds the input " + input.string() +
+              ", expected a folder of its own");
+  { const OutputFolder apart = OutputFolder::staged(out, true, {folder / "elsewhere.tif", {}}); }
+
+  SUBCASE("a folder that others fill meanwhile stays theirs") {
+    const fs::path fresh = folder / "fresh";
+    OutputFolder staged = OutputFolder::staged(fresh, false);
+    fs::create_directories(fresh);
+    write_bytes(fresh / "theirs", "x");
+    CHECK(error_of<IoError>([&] { staged.commit(); }) ==
+          "out: " + fresh.string() + " exists and is not empty; use --overwrite");
+    CHECK(read_bytes(fresh / "theirs") == "x");
+  }
+}
+
+TEST_CASE("output folder: folders made around it go with it") {
+  const test::TempFolder folder("around");
+  fs::create_directories(folder / "kept");
+  { const OutputFolder dropped = OutputFolder::staged(folder / "kept/new/deep/out", false); }
+  CHECK(fs::is_empty(folder / "kept"));
+  {
+    const OutputFolder dropped = OutputFolder::staged(folder / "kept/new/deep/out", false);
+    write_bytes(folder / "kept/new/theirs", "x");
+  }
+  CHECK(entries(folder / "kept/new") == 1);
+  OutputFolder::staged(folder / "kept/new/deep/out", false).commit();
+  CHECK(fs::is_directory(folder / "kept/new/deep/out"));
+}
+
+TEST_CASE("output folder: in place, whatever is there stays") {
   const test::TempFolder folder("in-place");
   const fs::path out = folder / "out";
+  { const OutputFolder nothing = OutputFolder::in_place(out); }
+  CHECK(!fs::exists(out));
+  fs::create_directories(out);
+  write_bytes(out / "checkpoint", "1");
   {
-    const OutputFolder place = OutputFolder::in_place(out, Existing::refuse);
-    write_bytes(place / "checkpoint", "1");
-  }
-  CHECK(read_bytes(out / "checkpoint") == "1");
-  {
-    OutputFolder place = OutputFolder::in_place(out, Existing::resume);
+    OutputFolder place = OutputFolder::in_place(out);
+    CHECK(place.in_its_place());
     CHECK(read_bytes(place / "checkpoint") == "1");
     place.commit();
   }
   CHECK(read_bytes(out / "checkpoint") == "1");
-  const OutputFolder fresh = OutputFolder::in_place(out, Existing::overwrite);
-  CHECK(entries(out) == 0);
+  CHECK(error_of<IoError>([&] { OutputFolder::in_place(out / "checkpoint"); }) ==
+        "out: " + (out / "checkpoint").string() + " is a file, expected a folder");
   CHECK(error_of<IoError>([&] { OutputFolder::staged("", true); }) ==
         "out: the name is empty, expected a folder");
 }

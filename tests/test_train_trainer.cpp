@@ -49,6 +49,9 @@ const std::filesystem::path& data() {
   return folder.path();
 }
 
+OutputFolder fresh(const std::filesystem::path& out) { return OutputFolder::staged(out, false); }
+OutputFolder used(const std::filesystem::path& out) { return OutputFolder::in_place(out); }
+
 StepCallback stop_after(Index step) {
   return [step](const StepReport& r) { return r.step < step; };
 }
@@ -57,11 +60,11 @@ StepCallback stop_after(Index step) {
 
 TEST_CASE("five steps, resume and five more are ten steps, byte for byte") {
   const TempFolder folder("trainer-2");
-  train::train(tiny(10), data(), folder.path() / "whole", 4, false, {});
-  train::train(tiny(10), data(), folder.path() / "parts", 4, false, stop_after(5));
+  train::train(tiny(10), data(), fresh(folder / "whole"), 4, false, {});
+  train::train(tiny(10), data(), fresh(folder / "parts"), 4, false, stop_after(5));
   CHECK(bytes_of(folder.path() / "parts" / "checkpoint.safetensors") !=
         bytes_of(folder.path() / "whole" / "checkpoint.safetensors"));
-  train::train(tiny(10), data(), folder.path() / "parts", 4, true, {});
+  train::train(tiny(10), data(), used(folder / "parts"), 4, true, {});
   CHECK(bytes_of(folder.path() / "parts" / "checkpoint.safetensors") ==
         bytes_of(folder.path() / "whole" / "checkpoint.safetensors"));
   CHECK(bytes_of(folder.path() / "parts" / "weights.safetensors") ==
@@ -76,7 +79,7 @@ TEST_CASE("one and two threads train the same bytes") {
   const TempFolder folder("trainer-3");
   for (const int n : {1, 2}) {
     set_threads(n);
-    train::train(tiny(3), data(), folder.path() / std::to_string(n), 4, false, {});
+    train::train(tiny(3), data(), fresh(folder / std::to_string(n)), 4, false, {});
   }
   set_threads(0);
   CHECK(bytes_of(folder.path() / "1" / "checkpoint.safetensors") ==
@@ -97,7 +100,7 @@ TEST_CASE("training lowers the error on samples it has not seen") {
     }
     return sum;
   };
-  train::train(config, data(), folder.path(), 1, false, {});
+  train::train(config, data(), fresh(folder.path()), 1, false, {});
   const double before = error(nn::Model(config.model, 1)),
                after = error(load_model(folder.path() / "weights.safetensors"));
   CAPTURE(before);
@@ -153,11 +156,47 @@ TEST_CASE("samples are a function of seed and step, and loss terms of their swit
 
 TEST_CASE("resuming with another configuration or seed is refused") {
   const TempFolder folder("trainer-6");
-  train::train(tiny(1), data(), folder.path(), 4, false, {});
-  CHECK_THROWS_AS(train::train(tiny(2), data(), folder.path(), 4, true, {}), ConfigError);
-  CHECK_THROWS_AS(train::train(tiny(1), data(), folder.path(), 5, true, {}), ConfigError);
+  train::train(tiny(1), data(), fresh(folder.path()), 4, false, {});
+  CHECK_THROWS_AS(train::train(tiny(2), data(), used(folder.path()), 4, true, {}), ConfigError);
+  CHECK_THROWS_AS(train::train(tiny(1), data(), used(folder.path()), 5, true, {}), ConfigError);
   TrainConfig odd = tiny(1);
   odd.crop = 40;
-  CHECK_THROWS_WITH_AS(train::train(odd, data(), folder.path(), 4, false, {}),
+  CHECK_THROWS_WITH_AS(train::train(odd, data(), used(folder.path()), 4, false, {}),
                        "train: crop is 40, expected a multiple of 16", ConfigError);
+}
+
+TEST_CASE("a run that fails or stops before its first checkpoint leaves an earlier one alone") {
+  const TempFolder folder("trainer-7");
+  const std::filesystem::path out = folder / "out";
+  std::filesystem::create_directories(out);
+  write_bytes(out / "run.json", R"({"program": "satsurf", "command": "train"})");
+  const auto again = [&](const TrainConfig& config, const StepCallback& callback) {
+    train::train(config, data(), OutputFolder::staged(out, true), 4, false, callback);
+  };
+  const auto untouched = [&] {
+    const auto begin = std::filesystem::recursive_directory_iterator(folder.path());
+    return std::distance(begin, {}) == 2 && std::filesystem::exists(out / "run.json");
+  };
+  TrainConfig many = tiny(2), lost = tiny(2);
+  many.views = 8;
+  lost.init = (folder / "nope.safetensors").string();
+  CHECK_THROWS_AS(again(many, {}), IoError);
+  CHECK(untouched());
+  CHECK_THROWS_AS(again(lost, {}), IoError);
+  CHECK(untouched());
+  CHECK_THROWS_AS(again(tiny(2), [](const StepReport&) -> bool { throw Error("full"); }), Error);
+  CHECK(untouched());
+
+  // after it, what there is can be resumed
+  CHECK_THROWS_AS(again(tiny(3),
+                        [](const StepReport& r) {
+                          if (r.step == 2) throw Error("full");
+                          return true;
+                        }),
+                  Error);
+  CHECK(!std::filesystem::exists(out / "run.json"));
+  train::train(tiny(3), data(), used(out), 4, true, {});
+  train::train(tiny(3), data(), fresh(folder / "whole"), 4, false, {});
+  CHECK(bytes_of(out / "checkpoint.safetensors") ==
+        bytes_of(folder / "whole/checkpoint.safetensors"));
 }

@@ -148,8 +148,11 @@ void run_reconstruct(const ReconstructCommand& options) {
                       std::to_string(options.height_range->high) +
                       ", wanted the lower height first");
   const NoGrad no_grad;
-  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite);
   const fs::path weights = find_weights(options.weights);
+  std::vector<fs::path> inputs = options.images;
+  inputs.insert(inputs.end(), options.image_dirs.begin(), options.image_dirs.end());
+  inputs.push_back(weights);
+  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, std::move(inputs));
   const nn::Model model = load_model(weights);
   nlohmann::json config{{"images", options.images},
                         {"image_dirs", options.image_dirs},

@@ -14,6 +14,7 @@
 #include <cmath>
 #include <csignal>
 #include <cstdio>
+#include <utility>
 
 #include <nlohmann/json.hpp>
 
@@ -88,7 +89,7 @@ void run_simulate(const SimulateOptions& options) {
   check_fields(config, "simulate");
   RunRecord record("simulate", to_json(config), config.seed);
   config.heights = false;  // per-pixel heights are not written
-  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite);
+  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, {options.config_file});
   Progress progress(options.quiet);
   for (Index i = 0; i < config.scenes; ++i) {
     if (interrupted()) throw Interrupted{};
@@ -109,40 +110,37 @@ void run_simulate(const SimulateOptions& options) {
 }
 
 void run_train(const TrainOptions& options) {
-  list_scenes(options.data);  // a wrong folder must not cost the one that --overwrite names
-  const bool existed = fs::exists(options.out);
-  using Existing = OutputFolder::Existing;
-  const OutputFolder folder =
-      OutputFolder::in_place(options.out, options.resume      ? Existing::resume
-                                          : options.overwrite ? Existing::overwrite
-                                                              : Existing::refuse);
+  OutputFolder folder =
+      options.resume
+          ? OutputFolder::in_place(options.out)
+          : OutputFolder::staged(options.out, options.overwrite,
+                                 {options.data, options.config.init, options.config_file});
   Progress progress(options.quiet);
   StepReport last;
-  try {
-    RunRecord record("train", to_json(options.config), options.seed);
-    record.add_input(options.data);
-    progress.update("read", 0);
-    double average = 0;  // running mean of the height error over about fifty steps
-    train(options.config, options.data, folder.path(), options.seed, options.resume,
-          [&](const StepReport& r) {
-            average = last.step == 0 ? r.height_mae : average + 0.02 * (r.height_mae - average);
-            last = r;
-            char text[160];
-            std::snprintf(text, sizeof text,
-                          "step %td/%td  loss %.4f  height error %.2f m  %.2f s/step", r.step,
-                          r.steps, r.loss, average, r.seconds);
-            progress.update("train", static_cast<double>(r.step) / static_cast<double>(r.steps),
-                            text);
-            return !interrupted();
-          });
-    record.results() = {
-        {"step", last.step}, {"steps", options.config.steps}, {"height_mae_running", average}};
-    record.save(folder / "run.json");
-  } catch (...) {
-    std::error_code ignored;
-    if (!existed && fs::is_empty(options.out, ignored)) fs::remove(options.out, ignored);
-    throw;
-  }
+  list_scenes(options.data);  // a wrong folder is told before its files are read
+  RunRecord record("train", to_json(options.config), options.seed);
+  record.add_input(options.data);
+  if (!options.resume)
+    record.save(folder / "run.json");  // marks the folder as a run from the start
+  progress.update("read", 0);
+  double average = 0;  // running mean of the height error over about fifty steps
+  train(options.config, options.data, std::move(folder), options.seed, options.resume,
+        [&](const StepReport& r) {
+          if (interrupted() && r.step == 1)
+            throw Interrupted{};  // before anything is worth keeping
+          average = last.step == 0 ? r.height_mae : average + 0.02 * (r.height_mae - average);
+          last = r;
+          char text[160];
+          std::snprintf(text, sizeof text,
+                        "step %td/%td  loss %.4f  height error %.2f m  %.2f s/step", r.step,
+                        r.steps, r.loss, average, r.seconds);
+          progress.update("train", static_cast<double>(r.step) / static_cast<double>(r.steps),
+                          text);
+          return !interrupted();
+        });
+  record.results() = {
+      {"step", last.step}, {"steps", options.config.steps}, {"height_mae_running", average}};
+  record.save(options.out / "run.json");
   if (interrupted() && last.step < options.config.steps) throw Interrupted{};
   std::printf("%td steps done; weights in %s\n", options.config.steps,
               (options.out / "weights.safetensors").c_str());

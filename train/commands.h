@@ -31,14 +31,14 @@ struct InfoOptions {
 void run_info(const InfoOptions& options);
 
 struct SimulateOptions {
-  std::filesystem::path out;
+  std::filesystem::path out, config_file;  ///< config_file may be empty
   SimulateConfig config;
   bool overwrite = false, quiet = false;
 };
 void run_simulate(const SimulateOptions& options);
 
 struct TrainOptions {
-  std::filesystem::path data, out;
+  std::filesystem::path data, out, config_file;  ///< config_file may be empty
   TrainConfig config;
   std::uint64_t seed = 0;
   bool overwrite = false, resume = false, quiet = false;

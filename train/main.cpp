@@ -68,6 +68,7 @@ class ConfigFlags {
     return config;
   }
   bool print() const { return print_; }
+  const std::string& file() const { return file_; }
 
  private:
   struct Flag {
@@ -116,10 +117,10 @@ void add_simulate(CLI::App& app, Common& common, std::function<void()>& run) {
   CLI::App* c =
       add_command(app, common, "simulate", "make up scenes with images, cameras and true surfaces");
   c->add_option("--out", o.out, "folder to make")->type_name("DIR");
-  c->add_flag("--overwrite", o.overwrite, "replace a folder that is not empty");
+  c->add_flag("--overwrite", o.overwrite, "replace what an earlier run left in that folder");
   static ConfigFlags<SimulateConfig> flags(*c, {});
   c->callback([&, c] {
-    o.quiet = common.quiet;
+    o.quiet = common.quiet, o.config_file = flags.file();
     o.config = flags.effective(
         {}, "simulate", [](auto&, auto&) {}, [](auto&, auto&) {});
     if (!flags.print() && o.out.empty()) throw CLI::RequiredError("--out");
@@ -137,12 +138,13 @@ void add_train(CLI::App& app, Common& common, std::function<void()>& run) {
       ->type_name("N")
       ->capture_default_str();
   CLI::Option* resume = c->add_flag("--resume", o.resume, "go on from the checkpoint in --out");
-  c->add_flag("--overwrite", o.overwrite, "replace a folder that is not empty")->excludes(resume);
+  c->add_flag("--overwrite", o.overwrite, "replace what an earlier run left in that folder")
+      ->excludes(resume);
   TrainConfig defaults;
   defaults.model = nn::model_preset(defaults.preset);
   static ConfigFlags<TrainConfig> flags(*c, defaults);
   c->callback([&, defaults] {
-    o.quiet = common.quiet;
+    o.quiet = common.quiet, o.config_file = flags.file();
     const auto apply_preset = [](TrainConfig& t) { t.model = nn::model_preset(t.preset); };
     o.config = flags.effective(
         defaults, "train",
@@ -169,7 +171,7 @@ void add_reconstruct(CLI::App& app, Common& common, std::function<void()>& run) 
       ->required()
       ->type_name("IMG");
   c->add_option("--out", o.out, "folder to make")->required()->type_name("DIR");
-  c->add_flag("--overwrite", o.overwrite, "replace a folder that is not empty");
+  c->add_flag("--overwrite", o.overwrite, "replace what an earlier run left in that folder");
   c->add_option("--image-dir", o.image_dirs, "where else to look for the images JSON files name")
       ->type_name("DIR");
   c->add_option("--weights", o.weights, "network weights [the shipped ones, or SATSURF_WEIGHTS]")

@@ -2,6 +2,7 @@
 #include "satsurf/train/output_folder.h"
 
 #include "satsurf/core/error.h"
+#include "satsurf/train/record.h"
 
 #include <algorithm>
 #include <cstdlib>
@@ -42,21 +43,43 @@ fs::path resolved(const fs::path& folder) {
   return path.has_filename() ? path : path.parent_path();  // "out/" is "out"
 }
 
-void check(const fs::path& named, const fs::path& target, OutputFolder::Existing existing) {
-  using Existing = OutputFolder::Existing;
+/// Whether a file or folder lies in `folder`, or a link to it does.
+bool lies_in(const fs::path& folder, const fs::path& input) {
+  const fs::path name = fs::absolute(input).lexically_normal();
+  return holds(folder, fs::weakly_canonical(name)) ||
+         holds(folder, fs::weakly_canonical(name.parent_path()) / name.filename());
+}
+
+void check(const fs::path& named, const fs::path& target, bool overwrite,
+           const std::vector<fs::path>& inputs) {
   attempt(named, "read", [&] {
     if (!fs::exists(target)) return;
     if (!fs::is_directory(target))
       throw IoError("out: " + named.string() + " is a file, expected a folder");
-    if (fs::is_empty(target) || existing == Existing::resume) return;
-    if (existing == Existing::refuse)
+    for (const fs::path& input : inputs)
+      if (!input.empty() && lies_in(target, input))
+        throw IoError("out: " + named.string() + " holds the input " + input.string() +
+                      ", expected a folder of its own");
+    if (fs::is_empty(target)) return;
+    if (!overwrite)
       throw IoError("out: " + named.string() + " exists and is not empty; use --overwrite");
     const char* home = std::getenv("HOME");
     if (holds(target, fs::current_path()) ||
         (home != nullptr && *home != '\0' && holds(target, fs::weakly_canonical(home))))
       throw IoError("out: " + named.string() +
                     " holds the working or the home folder, which --overwrite would remove");
+    if (!holds_run(target))
+      throw IoError("out: " + named.string() +
+                    " holds no run.json of an earlier run, expected one for --overwrite; name "
+                    "another folder");
   });
+}
+
+/// The outermost folder that has to be made for `folder`; empty if it exists.
+fs::path outermost_missing(fs::path folder) {
+  fs::path missing;
+  for (; !folder.empty() && !fs::exists(folder); folder = folder.parent_path()) missing = folder;
+  return missing;
 }
 
 fs::path sibling(const fs::path& target, const char* kind) {
@@ -67,41 +90,57 @@ fs::path sibling(const fs::path& target, const char* kind) {
 
 }  // namespace
 
-OutputFolder::OutputFolder(fs::path target, fs::path work)
-    : target_(std::move(target)), work_(std::move(work)), pending_(work_ != target_) {}
+OutputFolder::OutputFolder(fs::path named, fs::path target, fs::path work)
+    : named_(std::move(named)),
+      target_(std::move(target)),
+      work_(std::move(work)),
+      pending_(work_ != target_) {}
 
 OutputFolder::OutputFolder(OutputFolder&& other) noexcept
-    : target_(std::move(other.target_)),
+    : named_(std::move(other.named_)),
+      target_(std::move(other.target_)),
       work_(std::move(other.work_)),
+      first_made_(std::move(other.first_made_)),
+      inputs_(std::move(other.inputs_)),
+      overwrite_(other.overwrite_),
       pending_(std::exchange(other.pending_, false)) {}
 
 OutputFolder::~OutputFolder() {
+  if (!pending_) return;
   std::error_code ignored;
-  if (pending_) fs::remove_all(work_, ignored);
+  fs::remove_all(work_, ignored);
+  if (first_made_.empty()) return;
+  // of the folders made around it, those that nobody else has put anything into
+  for (fs::path around = work_.parent_path(); holds(first_made_, around);
+       around = around.parent_path())
+    if (!fs::remove(around, ignored)) break;
 }
 
-OutputFolder OutputFolder::staged(const fs::path& folder, bool overwrite) {
-  const fs::path target = resolved(folder), work = sibling(target, ".partial-");
-  check(folder, target, overwrite ? Existing::overwrite : Existing::refuse);
-  attempt(folder, "made", [&] {
-    fs::remove_all(work);  // of a killed process that had our number
-    fs::create_directories(work);
-  });
-  return {target, work};
-}
-
-OutputFolder OutputFolder::in_place(const fs::path& folder, Existing existing) {
+OutputFolder OutputFolder::staged(const fs::path& folder, bool overwrite,
+                                  std::vector<fs::path> inputs) {
   const fs::path target = resolved(folder);
-  check(folder, target, existing);
+  check(folder, target, overwrite, inputs);
+  OutputFolder out(folder, target, sibling(target, ".partial-"));
+  out.inputs_ = std::move(inputs);
+  out.overwrite_ = overwrite;
   attempt(folder, "made", [&] {
-    if (existing == Existing::overwrite) fs::remove_all(target);
-    fs::create_directories(target);
+    fs::remove_all(out.work_);  // of a killed process that had our number
+    out.first_made_ = outermost_missing(out.work_);
+    fs::create_directories(out.work_);
   });
-  return {target, target};
+  return out;
+}
+
+OutputFolder OutputFolder::in_place(const fs::path& folder) {
+  const fs::path target = resolved(folder);
+  if (fs::exists(target) && !fs::is_directory(target))
+    throw IoError("out: " + folder.string() + " is a file, expected a folder");
+  return {folder, target, target};
 }
 
 void OutputFolder::commit() {
   if (!pending_) return;
+  check(named_, target_, overwrite_, inputs_);  // others may have written there meanwhile
   attempt(target_, "put in its place", [&] {
     const fs::path old = sibling(target_, ".replaced-");
     const bool replaces = fs::exists(target_);

@@ -2,41 +2,47 @@
 #pragma once
 
 #include <filesystem>
+#include <vector>
 
 namespace satsurf::train {
 
 /// Where a command puts its files. A staged folder is filled under a temporary name beside its
-/// place and renamed into it by `commit()`; without a commit nothing is left. A folder in place is
-/// for runs that can be resumed: its files are there while the run goes on, each written whole.
+/// place and renamed into it by `commit()`; without a commit nothing is left, neither the folder
+/// nor those made around it. A folder in place is one to go on in: whatever is there stays.
 class OutputFolder {
  public:
-  enum class Existing {
-    refuse,     ///< a folder that is not empty is an error
-    overwrite,  ///< its content is replaced; when staged, by commit() and not before
-    resume,     ///< in place, whatever is there stays
-  };
-
-  /// throws IoError: `out: DIR exists and is not empty; use --overwrite`; also if DIR is a file, or
-  /// if overwriting would remove the working folder, the home folder or one above them
-  static OutputFolder staged(const std::filesystem::path& folder, bool overwrite);
-  /// The folder itself, made if missing. throws IoError as above
-  static OutputFolder in_place(const std::filesystem::path& folder, Existing existing);
+  /// overwrite  replace, by commit() and not before, what a run of this program left there: a folder
+  ///            that holds its run.json
+  /// inputs     files and folders the run reads; none may lie in the folder or be the folder. Empty
+  ///            names are passed over
+  /// throws IoError: `out: DIR exists and is not empty; use --overwrite`; also if DIR is a file,
+  /// holds an input, or if overwriting would remove something else than a run, the working folder,
+  /// the home folder or one above them
+  static OutputFolder staged(const std::filesystem::path& folder, bool overwrite,
+                             std::vector<std::filesystem::path> inputs = {});
+  /// The folder itself, as it is. throws IoError if it is a file
+  static OutputFolder in_place(const std::filesystem::path& folder);
 
   OutputFolder(OutputFolder&& other) noexcept;
   OutputFolder& operator=(OutputFolder&&) = delete;
   ~OutputFolder();
 
-  /// Where to write.
+  /// Where to write; another place after commit().
   const std::filesystem::path& path() const { return work_; }
   std::filesystem::path operator/(const std::filesystem::path& name) const { return work_ / name; }
-  /// Puts a staged folder in its place; nothing to do for one in place. throws IoError
+  /// Whether the files are where they were asked for.
+  bool in_its_place() const { return !pending_; }
+  /// Puts a staged folder in its place, which is looked at once more; nothing to do for one in
+  /// place. throws IoError
   void commit();
 
  private:
-  OutputFolder(std::filesystem::path target, std::filesystem::path work);
+  OutputFolder(std::filesystem::path named, std::filesystem::path target,
+               std::filesystem::path work);
 
-  std::filesystem::path target_, work_;
-  bool pending_;  // work_ must go unless committed
+  std::filesystem::path named_, target_, work_, first_made_;
+  std::vector<std::filesystem::path> inputs_;
+  bool overwrite_ = false, pending_;  // pending: work_ must go unless committed
 };
 
 }  // namespace satsurf::train

@@ -112,6 +112,17 @@ nlohmann::json load_config(const std::filesystem::path& path) {
   return j;
 }
 
+bool holds_run(const std::filesystem::path& folder) {
+  try {
+    const nlohmann::json j = load_json_file(folder / "run.json");
+    if (!j.is_object() || j.value("program", nlohmann::json()) != kProgram) return false;
+    const nlohmann::json command = j.value("command", nlohmann::json());
+    return command == "simulate" || command == "train" || command == "reconstruct";
+  } catch (const Error&) {  // no such file, or somebody else's
+    return false;
+  }
+}
+
 const char* program_version() { return SATSURF_VERSION; }
 const char* program_git_hash() { return SATSURF_GIT_HASH; }
 

@@ -49,6 +49,9 @@ class RunRecord {
 /// IoError
 nlohmann::json load_config(const std::filesystem::path& path);
 
+/// Whether a folder is what simulate, train or reconstruct left: it holds their run.json.
+bool holds_run(const std::filesystem::path& folder);
+
 /// The version of this program, e.g. `0.1.0`.
 const char* program_version();
 /// The commit it was configured at, or `unknown` outside a git checkout.

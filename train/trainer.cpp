@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/trainer.h"
 
+#include "satsurf/core/atomic_file.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/train/loss.h"
 
@@ -65,8 +66,8 @@ class Journal {
       std::string line;
       for (Index n = 0; n < keep_steps && std::getline(in, line); ++n) kept += line + '\n';
     }
-    out_.open(path, std::ios::trunc);
-    out_ << kept << std::flush;
+    atomic_write(path, kept);
+    out_.open(path, std::ios::app);
     if (!out_) throw IoError(path.string() + ": cannot be written");
   }
   void add(const StepReport& r) {
@@ -149,7 +150,7 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
   return crop;
 }
 
-void train(const TrainConfig& config, const fs::path& data, const fs::path& out, std::uint64_t seed,
+void train(const TrainConfig& config, const fs::path& data, OutputFolder out, std::uint64_t seed,
            bool resume, const StepCallback& callback) {
   check_fields(config, "train");
   const Index multiple = nn::size_multiple(config.model);
@@ -158,7 +159,6 @@ void train(const TrainConfig& config, const fs::path& data, const fs::path& out,
                       ", expected a multiple of " + std::to_string(multiple));
   const std::vector<Scene> scenes = load_all(data, config.views);
 
-  const fs::path checkpoint = out / "checkpoint.safetensors";
   const std::string record = to_json(config).dump();
   nn::Model model(config.model, seed);
   nn::AdamW optimiser(model.parameters(), {.weight_decay = config.weight_decay});
@@ -166,6 +166,7 @@ void train(const TrainConfig& config, const fs::path& data, const fs::path& out,
   if (!config.init.empty() && !resume)
     model.parameters().load(load_safetensors(config.init), "model.", config.init);
   if (resume) {
+    const fs::path checkpoint = out / "checkpoint.safetensors";
     const TensorFile file = load_safetensors(checkpoint);
     const auto saved = file.metadata.find("train"), saved_seed = file.metadata.find("seed");
     if (saved == file.metadata.end() || saved_seed == file.metadata.end())
@@ -180,7 +181,6 @@ void train(const TrainConfig& config, const fs::path& data, const fs::path& out,
     optimiser.load(file, checkpoint.string());
     step = optimiser.steps();
   }
-  fs::create_directories(out);
   Journal journal(out / "train.jsonl", step);
 
   const auto save = [&] {
@@ -189,7 +189,7 @@ void train(const TrainConfig& config, const fs::path& data, const fs::path& out,
     optimiser.store(file);
     file.metadata["train"] = record;
     file.metadata["seed"] = std::to_string(seed);
-    save_safetensors(checkpoint, file);
+    save_safetensors(out / "checkpoint.safetensors", file);
     save_model(out / "weights.safetensors", model);
   };
 
@@ -221,7 +221,10 @@ void train(const TrainConfig& config, const fs::path& data, const fs::path& out,
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     journal.add(report);
     if (callback) go_on = callback(report);
-    if (!go_on || step == config.steps || step % config.checkpoint_every == 0) save();
+    if (!go_on || step == config.steps || step % config.checkpoint_every == 0 ||
+        !out.in_its_place())
+      save();
+    out.commit();
   }
 }
 

@@ -4,6 +4,7 @@
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/train/dataset.h"
+#include "satsurf/train/output_folder.h"
 
 #include <filesystem>
 #include <functional>
@@ -76,12 +77,12 @@ struct StepReport {
 using StepCallback = std::function<bool(const StepReport&)>;
 
 /// Trains on the scenes of a folder and writes `checkpoint.safetensors` (all that resuming needs),
-/// `weights.safetensors` (the model alone) and `train.jsonl` into `out`. With `resume`, continues
-/// from `out/checkpoint.safetensors` bit for bit as if never interrupted. throws IoError,
-/// ConfigError
-void train(const TrainConfig& config, const std::filesystem::path& data,
-           const std::filesystem::path& out, std::uint64_t seed, bool resume,
-           const StepCallback& callback);
+/// `weights.safetensors` (the model alone) and `train.jsonl` into `out`. A staged `out` is committed
+/// with the first checkpoint, after one step: what goes wrong before costs nobody an earlier run.
+/// With `resume`, continues from `out/checkpoint.safetensors` bit for bit as if never interrupted.
+/// throws IoError, ConfigError
+void train(const TrainConfig& config, const std::filesystem::path& data, OutputFolder out,
+           std::uint64_t seed, bool resume, const StepCallback& callback);
 
 /// A model from a weights or checkpoint file, which carries its configuration. throws IoError
 nn::Model load_model(const std::filesystem::path& path);

@@ -152,6 +152,16 @@ refuses "no overlap" 1 "SIM_001_001_RGB.tif and .*SIM_002_001_RGB.tif do not ove
   reconstruct "${good[0]}" data/Track3-RGB/SIM_002_001_RGB.tif --out no --weights $weights
 refuses "one image" 1 "1 image, wanted two or more" reconstruct "${good[0]}" --out no --weights $weights
 refuses "existing output folder" 1 "out .*--overwrite" reconstruct "${good[@]}" --out out --weights $weights
+refuses "folders made around a failure" 1 "text.tif" reconstruct "${good[0]}" text.tif --out newd/deep/o --weights $weights
+mkdir mydocs indir && echo "years of work" >mydocs/thesis.txt && cp "${good[@]}" indir/
+refuses "overwriting a folder of somebody else" 1 "mydocs .*run.json" \
+  reconstruct "${good[@]}" --out mydocs --weights $weights --overwrite
+refuses "overwriting the images" 1 "indir holds the input indir/SIM_001_001_RGB.tif" \
+  reconstruct indir/*.tif --out indir --weights $weights --overwrite
+refuses "overwriting the weights" 1 "whole holds the input $weights" \
+  reconstruct "${good[@]}" --out whole --weights $weights --overwrite
+refuses "overwriting --image-dir" 1 "out holds the input out/views" \
+  reconstruct "${good[@]}" --image-dir out/views --out out --weights $weights --overwrite
 refuses "output is a file" 1 "above.png" reconstruct "${good[@]}" --out above.png --weights $weights
 refuses "existing output file" 1 "above.png.*--overwrite" "$satsurf" render --surfels out/surfels.ply --nadir --out above.png
 
@@ -218,10 +228,22 @@ cp "$satsurf" here # no weights beside it
 refuses "no weights at all" 1 "weights: none found.*--weights" ./here reconstruct "${good[@]}" --out no
 rm here
 
+mkdir box && cp -r data box/
 refuses "missing data folder" 1 "nowhere" "$satsurf" train --data nowhere --out no "${tiny[@]}"
 mkdir hollow
 refuses "folder without scenes" 1 "hollow" "$satsurf" train --data hollow --out no "${tiny[@]}"
 refuses "training into a used folder" 1 "whole .*--overwrite" "$satsurf" train --data data --out whole "${tiny[@]}"
+retrain() { "$satsurf" train "${tiny[@]}" --overwrite "$@"; }
+refuses "overwriting, no such --init" 1 "nope.safetensors" retrain --data data --out whole --init nope.safetensors
+refuses "overwriting, too few images" 1 "SIM_001: 4 images" retrain --data data --out whole --views 8
+refuses "overwriting --init" 1 "whole holds the input $weights" retrain --data data --out whole --init $weights
+refuses "overwriting the data" 1 "data holds the input data" retrain --data data --out data
+refuses "overwriting a folder around the data" 1 "^satsurf: out: data/../box holds the input box/data" \
+  retrain --data box/data --out data/../box
+refuses "overwriting --config" 1 "data holds the input data/run.json" \
+  "$satsurf" simulate --config data/run.json --out data --overwrite
+refuses "a full disk" 1 "full.*checkpoint.safetensors.*cannot be written" bash -c \
+  'trap "" XFSZ; ulimit -f 16; exec "$@"' full "$satsurf" train --data data --out full/new "${tiny[@]}"
 refuses "resume with another configuration" 2 "checkpoint.safetensors" "$satsurf" train --data data --out whole "${tiny[@]}" --resume --lr 0.1
 refuses "resume without a checkpoint" 1 "checkpoint.safetensors" "$satsurf" train --data data --out no "${tiny[@]}" --resume
 mkdir -p bare/Track3-RGB && cp data/Track3-RGB/SIM_001* bare/Track3-RGB/
