@@ -96,6 +96,7 @@ void complete(RasterInfo& info, const fs::path& path, const NamedView& view) {
     }
     info.rpc = j.rpc;
     info.rpc_source = "Sat-NeRF JSON";
+    info.files.insert(info.files.begin(), path);
     info.tried.insert(info.tried.begin(), path.filename().string());
     info.height_range = HeightRange{j.min_alt, j.max_alt};
     if (j.sun_elevation_deg) info.sun_elevation_deg = j.sun_elevation_deg;

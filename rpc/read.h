@@ -17,6 +17,8 @@ namespace satsurf::rpc {
 /// What a file says about an image, without its pixels.
 struct RasterInfo {
   std::filesystem::path path;
+  /// All that was read: the file itself, what belongs to it, and where the camera came from.
+  std::vector<std::filesystem::path> files;
   Index width = 0, height = 0, bands = 0;
   std::string dtype;  ///< uint8, uint16, int16, float32 or another of GDAL's, in these words
   std::optional<Rpc> rpc;

@@ -67,6 +67,20 @@ bool mentions(const fs::path& file, const char* word) {
   return in && text.find(word) != std::string::npos;
 }
 
+/// The files GDAL reads of an image: those that are on the disk, each once, the image first.
+std::vector<fs::path> files_of(const fs::path& path, GDALDataset& d) {
+  std::vector<fs::path> out;
+  std::error_code ignored;
+  if (fs::is_regular_file(path, ignored)) out.push_back(path);
+  char** files = d.GetFileList();
+  for (int i = 0; files && files[i]; ++i)
+    if (fs::is_regular_file(files[i], ignored) &&
+        std::find(out.begin(), out.end(), fs::path(files[i])) == out.end())
+      out.emplace_back(files[i]);
+  CSLDestroy(files);
+  return out;
+}
+
 /// Which of its files GDAL took the camera from.
 std::string gdal_rpc_source(GDALDataset& d) {
   std::string source;
@@ -110,6 +124,8 @@ void find_camera(RasterInfo& info, GDALDataset& d) {
     if (!fs::is_regular_file(file) || !mentions(file, s.mark)) continue;
     info.rpc = read_rpc_file(file);
     info.rpc_source = s.source;
+    if (std::find(info.files.begin(), info.files.end(), file) == info.files.end())
+      info.files.push_back(file);
     return;
   }
 }
@@ -175,6 +191,7 @@ RasterInfo info_of(const fs::path& path, GDALDataset& d) {
   if (GDALDataTypeIsComplex(first->GetRasterDataType()))
     throw IoError(path.string() + ": pixels are complex (" + info.dtype + "), wanted real numbers");
 
+  info.files = files_of(path, d);
   find_camera(info, d);
   const std::vector<std::map<std::string, std::string>> domains{
       metadata_of(d, ""), metadata_of(d, "IMD"), metadata_of(d, "IMAGERY")};

@@ -5,6 +5,7 @@
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 
+#include <algorithm>
 #include <cmath>
 #include <iomanip>
 #include <limits>
@@ -247,6 +248,10 @@ TEST_CASE("a camera beside an image is found, and its source told") {
       CHECK(info.sun_azimuth_deg == 162.1);
       CHECK(info.acquisition_date.has_value());
     }
+    REQUIRE(info.files.size() >= 2);
+    CHECK(info.files[0] == folder / image);
+    for (const auto& [name, text] : sidecars)
+      CHECK(std::count(info.files.begin(), info.files.end(), folder / name) == 1);
     return info.rpc_source;
   };
   CHECK(source("a.tif", {{"a.RPB", as_rpb(rpc)}}) == "RPB");
@@ -272,6 +277,8 @@ TEST_CASE("a camera that GDAL leaves aside is found all the same") {
     write_bytes(folder / sidecar, text);
     const RasterInfo info = view_info(folder / image);
     CHECK(worst_difference(rpc, *info.rpc) < 1e-8);
+    CHECK(std::count(info.files.begin(), info.files.end(), folder / image) == 1);
+    CHECK(std::count(info.files.begin(), info.files.end(), folder / sidecar) == 1);
     return info.rpc_source;
   };
   CHECK(source("a.png", "a_RPC.TXT", as_text(rpc)) == "_RPC.TXT");
@@ -409,6 +416,7 @@ TEST_CASE("a view is a raster or a JSON that names one") {
   const Image view = open_view(p, {folder / "elsewhere", folder / "images"});
   CHECK(*view.info.rpc == adjusted);
   CHECK(view.info.rpc_source == "Sat-NeRF JSON");
+  CHECK(view.info.files == std::vector<std::filesystem::path>{p, tif});
   CHECK(view.info.sun_elevation_deg == 42.2);
   REQUIRE(view.info.height_range);
   CHECK(view.info.height_range->high == 30.5);

@@ -2,6 +2,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/var.h"
 #include "satsurf/rpc/raster.h"
+#include "satsurf/rpc/read.h"
 #include "satsurf/splat/ply.h"
 #include "satsurf/train/commands.h"
 #include "satsurf/train/output_folder.h"
@@ -149,10 +150,14 @@ void run_reconstruct(const ReconstructCommand& options) {
                       ", wanted the lower height first");
   const NoGrad no_grad;
   const fs::path weights = find_weights(options.weights);
-  std::vector<fs::path> inputs = options.images;
-  inputs.insert(inputs.end(), options.image_dirs.begin(), options.image_dirs.end());
-  inputs.push_back(weights);
-  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, std::move(inputs));
+  std::vector<fs::path> inputs{weights};
+  for (const fs::path& file : options.images) {
+    const rpc::RasterInfo info = rpc::view_info(file, options.image_dirs);
+    inputs.insert(inputs.end(), info.files.begin(), info.files.end());
+  }
+  std::vector<fs::path> apart = inputs;
+  apart.insert(apart.end(), options.image_dirs.begin(), options.image_dirs.end());
+  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, std::move(apart));
   const nn::Model model = load_model(weights);
   nlohmann::json config{{"images", options.images},
                         {"image_dirs", options.image_dirs},
@@ -161,8 +166,7 @@ void run_reconstruct(const ReconstructCommand& options) {
   if (options.height_range)
     config["height_range"] = {options.height_range->low, options.height_range->high};
   RunRecord record("reconstruct", config, 0);
-  for (const fs::path& file : options.images) record.add_input(file);
-  record.add_input(weights);
+  for (const fs::path& file : inputs) record.add_input(file);
 
   Progress progress(options.quiet);
   progress.update("read", 0);

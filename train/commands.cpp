@@ -120,6 +120,7 @@ void run_train(const TrainOptions& options) {
   list_scenes(options.data);  // a wrong folder is told before its files are read
   RunRecord record("train", to_json(options.config), options.seed);
   record.add_input(options.data);
+  if (!options.config.init.empty()) record.add_input(options.config.init);
   if (!options.resume)
     record.save(folder / "run.json");  // marks the folder as a run from the start
   progress.update("read", 0);
@@ -169,11 +170,18 @@ void run_evaluate_dsm(const EvaluateDsmOptions& options) {
   if (!options.json.empty()) {
     nlohmann::json config{{"dsm", options.dsm},
                           {"truth", options.truth},
+                          {"classes", options.classes},
+                          {"seen_by", options.seen_by},
+                          {"image_dirs", options.image_dirs},
                           {"register", options.registration},
                           {"mask_water", options.mask_water}};
     RunRecord record("evaluate", config, 0);
     record.add_input(options.dsm);
     record.add_input(options.truth);
+    if (!options.classes.empty()) record.add_input(options.classes);
+    for (const fs::path& file : options.seen_by)
+      for (const fs::path& read : rpc::view_info(file, options.image_dirs).files)
+        record.add_input(read);
     record.results() = scores_json(c);
     record.save(options.json);
   }
@@ -201,6 +209,7 @@ void run_evaluate_data(const EvaluateDataOptions& options) {
   const nlohmann::ordered_json table = scores_json(scores);
   if (!options.json.empty()) {
     record.add_input(weights);
+    record.add_input(options.data);
     record.results() = table;
     record.save(options.json);
   }

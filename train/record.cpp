@@ -65,6 +65,9 @@ void RunRecord::add_input(const std::filesystem::path& path) {
   } catch (const std::filesystem::filesystem_error& e) {
     throw IoError(path.string() + ": cannot be read (" + e.code().message() + ")");
   }
+  std::erase_if(files, [&](const auto& file) {
+    return std::ranges::any_of(inputs_, [&](const Input& i) { return i.path == file.string(); });
+  });
   std::vector<Input> found(files.size());
   for_each_index(static_cast<Index>(files.size()), [&](Index i) {
     const auto& file = files[static_cast<std::size_t>(i)];

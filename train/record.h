@@ -19,7 +19,8 @@ class RunRecord {
   /// config  the effective configuration, defaults included
   RunRecord(std::string command, nlohmann::json config, std::uint64_t seed);
 
-  /// Notes size and SHA-256 of a file, or of every file below a folder. throws IoError
+  /// Notes size and SHA-256 of a file, or of every file below a folder; of each file once.
+  /// throws IoError
   void add_input(const std::filesystem::path& path);
   /// Whatever the command has to say about its outcome.
   nlohmann::json& results() { return results_; }

@@ -101,9 +101,15 @@ succeeds "evaluate a surface" "$satsurf" evaluate --dsm out/dsm.tif --truth $tru
   --seen-by "${images[@]}" --json scores.json --error-map error.png
 holds "it prints the error" grep -qE "registered +MAE +[0-9.]+ m" stdout
 holds "it records the error" grep -q '"mae"' scores.json
+for read in $truth out/dsm.tif "${images[@]}"; do
+  holds "it records that it read $read" grep -qF "\"path\": \"$read\"" scores.json
+done
 succeeds "evaluate the truth" "$satsurf" evaluate --dsm $truth --truth $truth
 holds "the truth is right" grep -qE "raw +MAE +0.000 m" stdout
 succeeds "evaluate a data set" "$satsurf" evaluate --data data --weights $weights --json all.json --csv all.csv --quiet
+for read in $weights $truth data/Track3-RGB/SIM_002_004_RGB.tif; do
+  holds "it records that it read $read" grep -qF "\"path\": \"$read\"" all.json
+done
 holds "one row per scene, a heading and the mean" test "$(wc -l <all.csv)" -eq 4
 succeeds "render from above" "$satsurf" render --surfels out/surfels.ply --nadir --out above.png
 succeeds "render heights" "$satsurf" render --surfels out/surfels.ply --nadir --out above.tif
@@ -203,6 +209,9 @@ sed 's/"b.asc"/"lost.asc"/' b.json >lost.json
 refuses "JSON whose image is missing" 1 "lost.asc" reconstruct a.json lost.json --out no --weights $weights
 mkdir elsewhere && mv b.asc elsewhere/
 succeeds "JSON whose image is elsewhere" reconstruct a.json b.json --image-dir elsewhere --out found --weights $weights
+for read in a.json a.asc b.json elsewhere/b.asc $weights; do
+  holds "it records that it read $read" grep -qF "\"path\": \"$read\"" found/run.json
+done
 head -c 100 b.json >cut.json
 refuses "truncated JSON" 1 "cut.json" reconstruct a.json cut.json --out no --weights $weights
 
