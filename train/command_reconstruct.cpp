@@ -19,6 +19,7 @@
 #include <cstdlib>
 #include <functional>
 #include <limits>
+#include <optional>
 #include <utility>
 
 namespace satsurf::train {
@@ -241,8 +242,11 @@ void run_render(const RenderCommand& options) {
   const bool png = extension == ".png", tif = extension == ".tif" || extension == ".tiff";
   if (!png && !tif)
     throw ConfigError("--out: " + options.out.string() + ", wanted a name ending in .png or .tif");
-  if (fs::exists(options.out) && !options.overwrite)
-    throw IoError("--out: " + options.out.string() + " exists; use --overwrite");
+  std::optional<rpc::RasterInfo> image;
+  if (!options.image.empty()) image = rpc::view_info(options.image, options.image_dirs);
+  std::vector<fs::path> inputs = image ? image->files : std::vector<fs::path>();
+  inputs.push_back(options.surfels);
+  check_output_file("--out", options.out, options.overwrite, inputs);
   const NoGrad no_grad;
   const splat::PlyContent content = splat::read_ply(options.surfels);
   const rpc::LocalFrame frame = frame_from_comments(content.comments, options.surfels.string());
@@ -251,15 +255,14 @@ void run_render(const RenderCommand& options) {
   if (!(z_low <= z_high))
     throw IoError(options.surfels.string() + ": no surfels, wanted a surface");
 
-  if (!options.image.empty()) {
-    const rpc::RasterInfo info = rpc::view_info(options.image, options.image_dirs);
+  if (image) {
     const auto render = nn::render_view(
-        content.surfels, camera_of(*info.rpc, frame, info.width, info.height, z_low, z_high),
-        info.height, info.width, 1);
+        content.surfels, camera_of(*image->rpc, frame, image->width, image->height, z_low, z_high),
+        image->height, image->width, 1);
     Tensor colour = render.colour.value().clone();
     if (png) return write_png(options.out, colour);
     for (float& v : colour.values()) v *= 255;
-    return rpc::write_rpc_geotiff(options.out, colour, rpc::PixelType::uint8, *info.rpc);
+    return rpc::write_rpc_geotiff(options.out, colour, rpc::PixelType::uint8, *image->rpc);
   }
 
   const double step = options.resolution > 0 ? options.resolution : 0.5;

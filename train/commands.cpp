@@ -73,6 +73,13 @@ Tensor mask_of(const EvaluateDsmOptions& options, const DsmPair& pair) {
   return seen;
 }
 
+/// throws IoError if two results would go into one file
+void check_distinct(const std::pair<fs::path, fs::path>& files) {
+  if (!files.first.empty() && fs::weakly_canonical(fs::absolute(files.first)) ==
+                                  fs::weakly_canonical(fs::absolute(files.second)))
+    throw IoError(files.first.string() + ": named for two results, wanted two names");
+}
+
 }  // namespace
 
 void catch_interrupts() {
@@ -149,6 +156,15 @@ void run_train(const TrainOptions& options) {
 
 void run_evaluate_dsm(const EvaluateDsmOptions& options) {
   const Registration registration = registration_from(options.registration);
+  std::vector<fs::path> inputs{options.dsm, options.truth};
+  if (!options.classes.empty()) inputs.push_back(options.classes);
+  for (const fs::path& file : options.seen_by) {
+    const rpc::RasterInfo info = rpc::view_info(file, options.image_dirs);
+    inputs.insert(inputs.end(), info.files.begin(), info.files.end());
+  }
+  check_output_file("--error-map", options.picture, options.overwrite, inputs);
+  check_output_file("--json", options.json, options.overwrite, inputs);
+  check_distinct({options.picture, options.json});
   const DsmPair pair = load_dsm_pair(options.dsm, options.truth);
   const Tensor mask = mask_of(options, pair);
   DsmComparison c;
@@ -157,15 +173,6 @@ void run_evaluate_dsm(const EvaluateDsmOptions& options) {
   } catch (const Error& e) {
     throw Error(options.dsm.string() + " and " + options.truth.string() + ": " + e.what());
   }
-  std::printf("%td of %td true cells have a predicted height (completeness %.1f %%)\n",
-              c.raw.compared, c.raw.truth, 100 * c.raw.completeness);
-  print_scores("raw", c.raw);
-  if (registration != Registration::none) {
-    std::printf("registered by east %+.2f m, north %+.2f m, up %+.3f m\n", c.shift[0], c.shift[1],
-                c.shift[2]);
-    print_scores("registered", c.registered);
-  }
-  warn_of_datum(c.raw);
   if (!options.picture.empty()) write_png(options.picture, error_picture(c.error));
   if (!options.json.empty()) {
     nlohmann::json config{{"dsm", options.dsm},
@@ -176,19 +183,26 @@ void run_evaluate_dsm(const EvaluateDsmOptions& options) {
                           {"register", options.registration},
                           {"mask_water", options.mask_water}};
     RunRecord record("evaluate", config, 0);
-    record.add_input(options.dsm);
-    record.add_input(options.truth);
-    if (!options.classes.empty()) record.add_input(options.classes);
-    for (const fs::path& file : options.seen_by)
-      for (const fs::path& read : rpc::view_info(file, options.image_dirs).files)
-        record.add_input(read);
+    for (const fs::path& file : inputs) record.add_input(file);
     record.results() = scores_json(c);
     record.save(options.json);
   }
+  std::printf("%td of %td true cells have a predicted height (completeness %.1f %%)\n",
+              c.raw.compared, c.raw.truth, 100 * c.raw.completeness);
+  print_scores("raw", c.raw);
+  if (registration != Registration::none) {
+    std::printf("registered by east %+.2f m, north %+.2f m, up %+.3f m\n", c.shift[0], c.shift[1],
+                c.shift[2]);
+    print_scores("registered", c.registered);
+  }
+  warn_of_datum(c.raw);
 }
 
 void run_evaluate_data(const EvaluateDataOptions& options) {
   const fs::path weights = find_weights(options.weights);
+  check_output_file("--json", options.json, options.overwrite, {weights});
+  check_output_file("--csv", options.csv, options.overwrite, {weights});
+  check_distinct({options.csv, options.json});
   const nn::Model model = load_model(weights);
   Progress progress(options.quiet);
   EvaluateOptions how;

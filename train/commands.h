@@ -60,7 +60,7 @@ struct EvaluateDsmOptions {
   std::vector<std::filesystem::path> seen_by,
       image_dirs;  ///< images that limit the score to what two of them see
   std::string registration = "none";
-  bool mask_water = false;
+  bool mask_water = false, overwrite = false;
 };
 void run_evaluate_dsm(const EvaluateDsmOptions& options);
 
@@ -68,7 +68,7 @@ struct EvaluateDataOptions {
   std::filesystem::path data, weights, json, csv;  ///< the last three may be empty
   std::string registration = "none";
   Index views = 3;
-  bool mask_water = true, quiet = false;
+  bool mask_water = true, overwrite = false, quiet = false;
 };
 void run_evaluate_data(const EvaluateDataOptions& options);
 

@@ -17,7 +17,7 @@ $satsurf reconstruct "${images[@]}" --out $out/surface --overwrite
 echo
 echo "Against the true surface:"
 $satsurf evaluate --dsm $out/surface/dsm.tif --truth $truth --seen-by "${images[@]}" --json $out/scores.json \
-  --error-map $out/error.png
+  --error-map $out/error.png --overwrite
 cat <<END
 
 Pictures:

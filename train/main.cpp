@@ -234,11 +234,12 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
       ->type_name("HOW")
       ->capture_default_str();
   c->add_option("--json", d.json, "all numbers and where they came from")->type_name("FILE");
+  c->add_flag("--overwrite", d.overwrite, "replace files that exist");
   c->callback([&, dsm, truth, data] {
     if (data->count() == 0 && (dsm->count() == 0 || truth->count() == 0))
       throw CLI::RequiredError("--dsm and --truth, or --data");
     s.registration = d.registration, s.json = d.json, s.quiet = common.quiet,
-    s.mask_water = !keep_water;
+    s.mask_water = !keep_water, s.overwrite = d.overwrite;
     run = [] { s.data.empty() ? run_evaluate_dsm(d) : run_evaluate_data(s); };
   });
 }

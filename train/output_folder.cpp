@@ -5,6 +5,7 @@
 #include "satsurf/train/record.h"
 
 #include <algorithm>
+#include <cerrno>
 #include <cstdlib>
 #include <string>
 #include <system_error>
@@ -155,6 +156,27 @@ void OutputFolder::commit() {
     work_ = target_;
     if (replaces) fs::remove_all(old);
   });
+}
+
+void check_output_file(const std::string& flag, const fs::path& file, bool overwrite,
+                       const std::vector<fs::path>& inputs) {
+  if (file.empty()) return;
+  const std::string where = flag + ": " + file.string();
+  std::error_code code;
+  if (fs::is_directory(file, code)) throw IoError(where + " is a folder, wanted a file");
+  for (const fs::path& input : inputs)
+    if (!input.empty() && fs::equivalent(file, input, code))
+      throw IoError(where + " is an input, wanted another name");
+  if (fs::exists(file, code) && !overwrite) throw IoError(where + " exists; use --overwrite");
+  // the folder around it, or the one to make that in
+  fs::path folder = fs::absolute(file).parent_path();
+  while (!fs::exists(folder, code) && folder.has_relative_path()) folder = folder.parent_path();
+  if (!fs::is_directory(folder, code))
+    throw IoError(where + " cannot be written (" + folder.string() +
+                  " is a file), wanted a name in a folder");
+  if (::access(folder.c_str(), W_OK | X_OK) != 0)
+    throw IoError(where + " cannot be written (" + std::generic_category().message(errno) +
+                  "), wanted a place that can be");
 }
 
 }  // namespace satsurf::train

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <string>
 #include <vector>
 
 namespace satsurf::train {
@@ -44,5 +45,13 @@ class OutputFolder {
   std::vector<std::filesystem::path> inputs_;
   bool overwrite_ = false, pending_;  // pending: work_ must go unless committed
 };
+
+/// Looks at a file before the work that ends in it.
+/// flag    what asked for it, e.g. `--json`; an empty name is passed over
+/// inputs  files the run reads; none may be the file
+/// throws IoError: `--json: FILE exists; use --overwrite`; also if it is an input, a folder, or
+/// cannot be written where it is
+void check_output_file(const std::string& flag, const std::filesystem::path& file, bool overwrite,
+                       const std::vector<std::filesystem::path>& inputs);
 
 }  // namespace satsurf::train

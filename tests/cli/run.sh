@@ -169,6 +169,23 @@ refuses "overwriting the weights" 1 "whole holds the input $weights" \
 refuses "overwriting --image-dir" 1 "out holds the input out/views" \
   reconstruct "${good[@]}" --image-dir out/views --out out --weights $weights --overwrite
 refuses "output is a file" 1 "above.png" reconstruct "${good[@]}" --out above.png --weights $weights
+cp out/surfels.ply surfels.png
+echo "a file" >text.txt
+scored=(--dsm out/dsm.tif --truth $truth)
+scores() { "$satsurf" evaluate "$@" --quiet; }
+refuses "existing scores" 1 "^satsurf: --json: scores.json exists; use --overwrite" scores "${scored[@]}" --json scores.json
+refuses "existing error map" 1 "--error-map: error.png exists; use --overwrite" scores "${scored[@]}" --error-map error.png
+refuses "existing table" 1 "--csv: all.csv exists; use --overwrite" scores --data data --weights $weights --csv all.csv
+refuses "scores into the truth" 1 "--json: $truth is an input" scores "${scored[@]}" --json $truth --overwrite
+refuses "scores into the weights" 1 "--csv: $weights is an input" scores --data data --weights $weights --csv $weights --overwrite
+refuses "scores into a folder" 1 "--json: out is a folder" scores "${scored[@]}" --json out --overwrite
+refuses "two results in one file" 1 "out/../both: named for two" scores "${scored[@]}" --error-map out/../both --json both
+refuses "an error map where no file can be" 1 "--error-map: text.txt/e.png cannot be written" \
+  scores "${scored[@]}" --error-map text.txt/e.png
+succeeds "overwriting scores" scores "${scored[@]}" --json scores.json --error-map error.png --overwrite
+refuses "a view into its image" 1 "--out: ${images[0]} is an input" \
+  "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --out "${images[0]}" --overwrite
+refuses "surfels into themselves" 1 "is an input" "$satsurf" render --surfels surfels.png --nadir --out surfels.png --overwrite
 refuses "existing output file" 1 "above.png.*--overwrite" "$satsurf" render --surfels out/surfels.ply --nadir --out above.png
 
 # Text rasters with a camera in a Sat-NeRF JSON: easy to spoil in known ways. A camera looks north or south of
