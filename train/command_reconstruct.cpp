@@ -172,6 +172,7 @@ void run_reconstruct(const ReconstructCommand& options) {
   Progress progress(options.quiet);
   progress.update("read", 0);
   const UserScene user = scene_from_views(options.images, options.image_dirs, options.height_range);
+  if (interrupted()) throw Interrupted{};
   const Scene& scene = user.scene;
   char text[256];
   std::snprintf(text, sizeof text, "height range %.1f to %.1f m above the ellipsoid, %s",

@@ -23,7 +23,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::atomic<bool> interrupt_seen{false};
+std::atomic<int> signal_seen{0};
 
 void print_scores(const char* title, const HeightScores& s) {
   std::printf("%-11s MAE %7.3f m  RMSE %7.3f m  median %+8.3f m  NMAD %7.3f m\n", title, s.mae,
@@ -84,12 +84,18 @@ void check_distinct(const std::pair<fs::path, fs::path>& files) {
 
 void catch_interrupts() {
   struct sigaction action {};
-  action.sa_handler = [](int) { interrupt_seen = true; };
+  action.sa_handler = [](int signal) { signal_seen = signal; };
   action.sa_flags = static_cast<int>(SA_RESETHAND);  // the second one kills
-  sigaction(SIGINT, &action, nullptr);
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+    struct sigaction before {};
+    sigaction(signal, nullptr, &before);
+    if (signal == SIGHUP && before.sa_handler == SIG_IGN) continue;  // nohup
+    sigaction(signal, &action, nullptr);
+  }
 }
 
-bool interrupted() { return interrupt_seen; }
+bool interrupted() { return signal_seen != 0; }
+int interrupt_signal() { return signal_seen; }
 
 void run_simulate(const SimulateOptions& options) {
   SimulateConfig config = options.config;

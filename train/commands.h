@@ -17,11 +17,14 @@ namespace satsurf::train {
 // progress to stderr, and throws Error for anything that stops it; files appear complete or not at
 // all.
 
-/// Thrown out of a command when the user pressed Ctrl-C.
+/// Thrown out of a command that was told to stop, e.g. by Ctrl-C.
 struct Interrupted {};
-/// From now on the first SIGINT is noted and the second one kills.
+/// From now on the first SIGINT, SIGTERM or SIGHUP is noted and the second of its kind kills; a
+/// SIGHUP that nohup has the program ignore stays ignored.
 void catch_interrupts();
 bool interrupted();
+/// The signal noted, 0 for none.
+int interrupt_signal();
 
 struct InfoOptions {
   std::vector<std::filesystem::path> images, image_dirs;

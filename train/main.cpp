@@ -18,7 +18,7 @@
 namespace satsurf::train {
 namespace {
 
-enum ExitCode { kDone = 0, kFailed = 1, kUsage = 2, kStopped = 130 };
+enum ExitCode { kDone = 0, kFailed = 1, kUsage = 2, kSignal = 128 };
 
 /// Errors are one line each, whatever a library put into them.
 void complain(std::string text) {
@@ -280,7 +280,8 @@ int run_program(int argc, char** argv) {
       "--version", std::string("satsurf ") + program_version() + " (" + program_git_hash() + ")");
   app.require_subcommand(1);
   app.get_formatter()->column_width(44);
-  app.footer("Exit codes: 0 done, 1 failed, 2 wrong usage, 130 stopped by Ctrl-C.");
+  app.footer(
+      "Exit codes: 0 done, 1 failed, 2 wrong usage, 128 + n stopped by signal n (130: Ctrl-C).");
 
   Common common;
   std::function<void()> run;
@@ -325,7 +326,7 @@ int main(int argc, char** argv) {
     return run_program(argc, argv);
   } catch (const Interrupted&) {
     complain("stopped");
-    return kStopped;
+    return kSignal + interrupt_signal();
   } catch (const satsurf::ConfigError& e) {
     complain(e.what());
     return kUsage;

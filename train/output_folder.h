@@ -12,8 +12,8 @@ namespace satsurf::train {
 /// nor those made around it. A folder in place is one to go on in: whatever is there stays.
 class OutputFolder {
  public:
-  /// overwrite  replace, by commit() and not before, what a run of this program left there: a folder
-  ///            that holds its run.json
+  /// overwrite  replace, by commit() and not before, what an earlier run of this program left
+  ///            there: a folder that holds its run.json
   /// inputs     files and folders the run reads; none may lie in the folder or be the folder. Empty
   ///            names are passed over
   /// throws IoError: `out: DIR exists and is not empty; use --overwrite`; also if DIR is a file,

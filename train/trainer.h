@@ -77,8 +77,8 @@ struct StepReport {
 using StepCallback = std::function<bool(const StepReport&)>;
 
 /// Trains on the scenes of a folder and writes `checkpoint.safetensors` (all that resuming needs),
-/// `weights.safetensors` (the model alone) and `train.jsonl` into `out`. A staged `out` is committed
-/// with the first checkpoint, after one step: what goes wrong before costs nobody an earlier run.
+/// `weights.safetensors` (the model alone) and `train.jsonl` into `out`. A staged `out` is
+/// committed with the first checkpoint, after one step: what fails before costs no earlier run.
 /// With `resume`, continues from `out/checkpoint.safetensors` bit for bit as if never interrupted.
 /// throws IoError, ConfigError
 void train(const TrainConfig& config, const std::filesystem::path& data, OutputFolder out,

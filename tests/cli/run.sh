@@ -81,6 +81,20 @@ wait "$job"
 code=$?
 checks=$((checks + 1))
 [ "$code" -eq 130 ] || fail "Ctrl-C: exit code $code, expected 130"
+for signal in TERM HUP; do
+  "$satsurf" simulate --out stopped --scenes 1000 --views 4 --pixels 96 --quiet >stdout 2>stderr &
+  job=$!
+  for _ in $(seq 600); do
+    [ -n "$(find stopped.partial-* -name '*_RGB.tif' 2>/dev/null | head -n 1)" ] && break
+    sleep 0.05
+  done
+  kill -$signal "$job" 2>/dev/null
+  wait "$job"
+  code=$?
+  checks=$((checks + 1))
+  [ "$code" -eq $((128 + $(kill -l $signal))) ] || fail "SIG$signal: exit code $code"
+  holds "SIG$signal leaves nothing behind" test -z "$(ls -d stopped* 2>/dev/null)"
+done
 holds "Ctrl-C stopped the run early" test "$(wc -l <parts/train.jsonl)" -lt 24
 succeeds "resume" "$satsurf" train --data data --out parts "${tiny[@]}" --resume --threads 2
 holds "resumed weights are those of the uninterrupted run" cmp whole/weights.safetensors parts/weights.safetensors
