@@ -157,8 +157,19 @@ TEST_CASE("samples are a function of seed and step, and loss terms of their swit
 TEST_CASE("resuming with another configuration or seed is refused") {
   const TempFolder folder("trainer-6");
   train::train(tiny(1), data(), fresh(folder.path()), 4, false, {});
-  CHECK_THROWS_AS(train::train(tiny(2), data(), used(folder.path()), 4, true, {}), ConfigError);
-  CHECK_THROWS_AS(train::train(tiny(1), data(), used(folder.path()), 5, true, {}), ConfigError);
+  const auto refusal = [&](const TrainConfig& config, std::uint64_t seed) {
+    return error_of<ConfigError>(
+        [&] { train::train(config, data(), used(folder.path()), seed, true, {}); });
+  };
+  const std::string start = (folder / "checkpoint.safetensors").string() +
+                            ": made with another configuration, expected the same to resume; ";
+  CHECK(refusal(tiny(2), 5) == start + "seed: saved 4 vs given 5, steps: saved 1 vs given 2");
+  TrainConfig other = tiny(1);
+  other.stage_weight[1] = 3;
+  CHECK(refusal(other, 4) == start + "stage_weight.1: saved 1.0 vs given 3.0");
+  other = tiny(1);
+  other.preset = "base8", other.model = nn::model_preset("base8");
+  CHECK(refusal(other, 4).ends_with(" more"));
   TrainConfig odd = tiny(1);
   odd.crop = 40;
   CHECK_THROWS_WITH_AS(train::train(odd, data(), used(folder.path()), 4, false, {}),

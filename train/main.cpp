@@ -137,7 +137,10 @@ void add_train(CLI::App& app, Common& common, std::function<void()>& run) {
   c->add_option("--seed", o.seed, "of the initial weights and the samples")
       ->type_name("N")
       ->capture_default_str();
-  CLI::Option* resume = c->add_flag("--resume", o.resume, "go on from the checkpoint in --out");
+  CLI::Option* resume =
+      c->add_flag("--resume", o.resume,
+                  "go on from the checkpoint in --out, with the same configuration; --steps "
+                  "included, for the learning rate is planned over all of them");
   c->add_flag("--overwrite", o.overwrite, "replace what an earlier run left in that folder")
       ->excludes(resume);
   TrainConfig defaults;

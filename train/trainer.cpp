@@ -10,6 +10,7 @@
 #include <cmath>
 #include <fstream>
 #include <numeric>
+#include <set>
 
 #include <nlohmann/json.hpp>
 
@@ -54,6 +55,30 @@ void vary(Crop& crop, const TrainConfig& config, Rng& rng) {
   };
   for (nn::View& v : crop.input.sources) apply(v);
   if (crop.target) apply(*crop.target);
+}
+
+/// `lr: saved 0.001 vs given 0.1, ...`: the fields in which two runs differ; empty if there are
+/// none.
+std::string differences(nlohmann::json saved, const std::string& saved_seed, nlohmann::json given,
+                        std::uint64_t seed) {
+  constexpr int kMost = 6;  // told by name; another preset changes them all
+  saved = saved.flatten(), given = given.flatten();
+  saved["/seed"] = nlohmann::json::parse(saved_seed, nullptr, false), given["/seed"] = seed;
+  std::set<std::string> names;
+  for (const auto* fields : {&saved, &given})
+    for (const auto& item : fields->items()) names.insert(item.key());
+  std::string text;
+  int count = 0;
+  for (const std::string& name : names) {
+    const nlohmann::json was = saved.value(name, nlohmann::json()),
+                         is = given.value(name, nlohmann::json());
+    if (was == is || ++count > kMost) continue;
+    std::string field = name.substr(1);
+    std::ranges::replace(field, '/', '.');
+    text += (text.empty() ? "" : ", ") + field + ": saved " + was.dump() + " vs given " + is.dump();
+  }
+  if (count > kMost) text += " and " + std::to_string(count - kMost) + " more";
+  return text;
 }
 
 /// Appends one line per step; on resuming, drops the lines of steps that will be run again.
@@ -172,11 +197,15 @@ void train(const TrainConfig& config, const fs::path& data, OutputFolder out, st
     if (saved == file.metadata.end() || saved_seed == file.metadata.end())
       throw IoError(checkpoint.string() +
                     ": no training state, expected a checkpoint that train wrote");
-    if (saved->second != record || saved_seed->second != std::to_string(seed))
+    const nlohmann::json before = parse_json(saved->second, checkpoint.string());
+    if (!before.is_object())
+      throw IoError(checkpoint.string() + ": its configuration is " + before.dump() +
+                    ", expected a JSON object");
+    const std::string others = differences(before, saved_seed->second, to_json(config), seed);
+    if (!others.empty())
       throw ConfigError(checkpoint.string() +
-                        ": made with another configuration or seed, expected the same to resume; "
-                        "saved: seed " +
-                        saved_seed->second + ", " + saved->second);
+                        ": made with another configuration, expected the same to resume; " +
+                        others);
     model.parameters().load(file, "model.", checkpoint.string());
     optimiser.load(file, checkpoint.string());
     step = optimiser.steps();
