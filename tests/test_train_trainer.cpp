@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/fields_json.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/train/loss.h"
+#include "satsurf/train/record.h"
 #include "satsurf/train/simulate/scene.h"
 #include "satsurf/train/trainer.h"
 
@@ -125,6 +127,20 @@ TEST_CASE("a model comes back from its file, configuration included") {
        ": not a satsurf model, expected metadata format = satsurf-1 and its configuration")
           .c_str(),
       IoError);
+}
+
+TEST_CASE("weights say where they come from") {
+  const TempFolder folder("trainer-8");
+  train::train(tiny(2), data(), fresh(folder / "out"), 4, false, {});
+  for (const char* name : {"out/weights.safetensors", "out/checkpoint.safetensors"}) {
+    const auto metadata = load_safetensors(folder / name).metadata;
+    CHECK(metadata.at("seed") == "4");
+    CHECK(metadata.at("step") == "2");
+    CHECK(metadata.at("scenes") == "2");
+    CHECK(metadata.at("train") == to_json(tiny(2)).dump());
+    CHECK(metadata.at("version") == program_version());
+    CHECK(metadata.at("git") == program_git_hash());
+  }
 }
 
 TEST_CASE("samples are a function of seed and step, and loss terms of their switches") {

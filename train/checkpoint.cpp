@@ -38,8 +38,10 @@ nn::Model load_model(const std::filesystem::path& path) {
   return model_from(load_safetensors(path), path.string());
 }
 
-void save_model(const std::filesystem::path& path, const nn::Model& model) {
+void save_model(const std::filesystem::path& path, const nn::Model& model,
+                const std::map<std::string, std::string>& origin) {
   TensorFile file;
+  file.metadata = origin;
   store_model(file, model);
   save_safetensors(path, file);
 }

@@ -1,12 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/fields_json.h"
+#include "satsurf/core/safetensors.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/train/commands.h"
 #include "satsurf/train/views.h"
 
 #include <cmath>
 #include <cstdio>
+#include <map>
 #include <string>
 #include <vector>
+
+#include <nlohmann/json.hpp>
 
 namespace satsurf::train {
 namespace {
@@ -62,6 +67,30 @@ void print_image(const rpc::RasterInfo& info) {
   if (info.acquisition_date) std::printf("  date          %s\n", info.acquisition_date->c_str());
 }
 
+struct Weights {
+  std::filesystem::path path;
+  std::map<std::string, std::string> metadata;
+  nn::Model model;
+};
+
+/// The network, and what `train` has noted of its origin, if it did.
+void print_weights(const Weights& w) {
+  std::printf("%s\n", w.path.c_str());
+  std::printf("  network       %td weights; %s\n", w.model.parameters().count(),
+              to_json(w.model.config()).dump().c_str());
+  const auto said = [&](const char* key) {
+    const auto at = w.metadata.find(key);
+    return at == w.metadata.end() ? std::string("unknown") : at->second;
+  };
+  if (!w.metadata.contains("train")) {
+    std::printf("  training      not told in the file\n");
+    return;
+  }
+  std::printf("  training      %s steps on %s scenes, seed %s; %s\n", said("step").c_str(),
+              said("scenes").c_str(), said("seed").c_str(), said("train").c_str());
+  std::printf("  program       satsurf %s (%s)\n", said("version").c_str(), said("git").c_str());
+}
+
 /// Overlap in percent of the smaller image, and parallax, for every pair with cameras.
 void print_pairs(const std::vector<rpc::RasterInfo>& all) {
   std::printf("pairs\n");
@@ -99,15 +128,22 @@ void print_pairs(const std::vector<rpc::RasterInfo>& all) {
 
 void run_info(const InfoOptions& options) {
   std::vector<rpc::RasterInfo> all;
+  std::vector<Weights> weights;
   for (const auto& file : options.images)  // all are read before anything is said
-    all.push_back(file.extension() == ".json" ? rpc::view_info(file, options.image_dirs)
-                                              : rpc::read_info(file));
+    if (file.extension() == ".safetensors") {
+      const TensorFile content = load_safetensors(file);
+      weights.push_back({file, content.metadata, model_from(content, file.string())});
+    } else {
+      all.push_back(file.extension() == ".json" ? rpc::view_info(file, options.image_dirs)
+                                                : rpc::read_info(file));
+    }
   std::vector<rpc::RasterInfo> cameras;
   for (const rpc::RasterInfo& info : all) {
     print_image(info);
     if (info.rpc) cameras.push_back(info);
   }
   if (cameras.size() > 1) print_pairs(cameras);
+  for (const Weights& w : weights) print_weights(w);
 }
 
 }  // namespace satsurf::train

@@ -30,7 +30,7 @@ struct InfoOptions {
   std::vector<std::filesystem::path> images, image_dirs;
 };
 /// Size, camera and where it came from, footprint, viewing and sun angles of images; overlap and
-/// parallax of pairs.
+/// parallax of pairs; network and origin of weights (.safetensors).
 void run_info(const InfoOptions& options);
 
 struct SimulateOptions {

@@ -104,9 +104,12 @@ CLI::App* add_command(CLI::App& app, Common& common, const std::string& name,
 
 void add_info(CLI::App& app, Common& common, std::function<void()>& run) {
   static InfoOptions o;
-  CLI::App* c = add_command(app, common, "info",
-                            "size, camera, footprint and angles of images; overlap of pairs");
-  c->add_option("images", o.images, "rasters or Sat-NeRF JSON files")->required()->type_name("IMG");
+  CLI::App* c = add_command(
+      app, common, "info",
+      "size, camera, footprint and angles of images; overlap of pairs; origin of weights");
+  c->add_option("images", o.images, "rasters, Sat-NeRF JSON files or weights")
+      ->required()
+      ->type_name("IMG");
   c->add_option("--image-dir", o.image_dirs, "where else to look for the images JSON files name")
       ->type_name("DIR");
   c->callback([&] { run = [] { run_info(o); }; });

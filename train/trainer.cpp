@@ -4,6 +4,7 @@
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/train/loss.h"
+#include "satsurf/train/record.h"
 
 #include <algorithm>
 #include <chrono>
@@ -213,13 +214,18 @@ void train(const TrainConfig& config, const fs::path& data, OutputFolder out, st
   Journal journal(out / "train.jsonl", step);
 
   const auto save = [&] {
+    const std::map<std::string, std::string> origin{{"train", record},
+                                                    {"seed", std::to_string(seed)},
+                                                    {"step", std::to_string(step)},
+                                                    {"scenes", std::to_string(scenes.size())},
+                                                    {"version", program_version()},
+                                                    {"git", program_git_hash()}};
     TensorFile file;
+    file.metadata = origin;
     store_model(file, model);
     optimiser.store(file);
-    file.metadata["train"] = record;
-    file.metadata["seed"] = std::to_string(seed);
     save_safetensors(out / "checkpoint.safetensors", file);
-    save_model(out / "weights.safetensors", model);
+    save_model(out / "weights.safetensors", model, origin);
   };
 
   for (bool go_on = true; go_on && step < config.steps;) {

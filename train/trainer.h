@@ -8,6 +8,7 @@
 
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <string>
 
 namespace satsurf::train {
@@ -86,7 +87,10 @@ void train(const TrainConfig& config, const std::filesystem::path& data, OutputF
 
 /// A model from a weights or checkpoint file, which carries its configuration. throws IoError
 nn::Model load_model(const std::filesystem::path& path);
-void save_model(const std::filesystem::path& path, const nn::Model& model);
+/// origin  further metadata: where the weights come from. `train` writes `train` (the configuration
+///         of the run), `seed`, `step` (those done), `scenes` (trained on), `version` and `git`
+void save_model(const std::filesystem::path& path, const nn::Model& model,
+                const std::map<std::string, std::string>& origin = {});
 
 /// The same inside a file that holds more: tensors `model.*`, metadata `format` and `model` (its
 /// configuration).

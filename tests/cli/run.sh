@@ -100,6 +100,9 @@ succeeds "resume" "$satsurf" train --data data --out parts "${tiny[@]}" --resume
 holds "resumed weights are those of the uninterrupted run" cmp whole/weights.safetensors parts/weights.safetensors
 holds "resumed checkpoint is that of the uninterrupted run" cmp whole/checkpoint.safetensors parts/checkpoint.safetensors
 weights=whole/weights.safetensors
+succeeds "info of weights" "$satsurf" info $weights
+holds "it says what they were trained on" grep -qE "training +24 steps on 2 scenes, seed 9; .*\"crop\":32" stdout
+holds "and by which program" grep -qE "program +satsurf [0-9.]+ \(.+\)" stdout
 
 succeeds "reconstruct" "$satsurf" reconstruct "${images[@]}" --out out --weights $weights --quiet
 for file in dsm.tif confidence.tif surfels.ply run.json height.png hillshade.png confidence.png \
@@ -263,6 +266,7 @@ hostile plain '\x02\x00\x00\x00\x00\x00\x00\x00' '{}'
 for name in huge wrap back deep plain; do
   refuses "hostile weights ($name)" 1 "$name.safetensors" reconstruct "${good[@]}" --out no --weights $name.safetensors
 done
+refuses "info of hostile weights" 1 "wrap.safetensors" "$satsurf" info wrap.safetensors
 refuses "weights that are none" 1 "text.tif" reconstruct "${good[@]}" --out no --weights text.tif
 cp "$satsurf" here # no weights beside it
 refuses "no weights at all" 1 "weights: none found.*--weights" ./here reconstruct "${good[@]}" --out no
