@@ -29,8 +29,8 @@ Scene make_scene(Index P, Index side) {
   Rng rng(7);
   for (Index p = 0; p < P; ++p) {
     const Index view = p / sheet < 3 ? p / sheet : 2, i = p - view * sheet;
-    const double tilt =
-        0.15 * (static_cast<double>(view) - 1);  // horizontal metres per metre of height
+    // horizontal metres per metre of height
+    const double tilt = 0.15 * (static_cast<double>(view) - 1);
     double x = (static_cast<double>(i % row) + 0.5) * step - extent / 2;
     const double y = extent / 2 - (static_cast<double>(i / row) + 0.5) * step;
     const bool building = std::sin(x / 9) * std::sin(y / 11) > 0.4;

@@ -9,8 +9,11 @@ namespace satsurf {
 
 /// Writes the pieces one after the other to a temporary name in the same folder, flushes them to
 /// the disk and renames: the old file or the new one, never half of one. Creates missing folders.
-/// throws IoError that names the file and the system's reason; no temporary file is left
+/// path    of the file
+/// pieces  its bytes, in order
+/// throws  IoError that names the file and the system's reason; no temporary file is left
 void atomic_write(const std::filesystem::path& path, std::span<const std::string_view> pieces);
+/// The same for one piece.
 inline void atomic_write(const std::filesystem::path& path, std::string_view bytes) {
   atomic_write(path, std::span(&bytes, 1));
 }

@@ -10,19 +10,28 @@ namespace satsurf {
 
 /// Checks shapes against named extents and binds each name at its first use across the arguments of
 /// one op:
-///   Dims dim("op");  dim.match("cost", cost, "D H W").match("heights", heights, "D");  dim["D"]
+///   Dims dim("op");
+///   dim.match("cost", cost, "D H W").match("heights", heights, "D");
+///   dim["D"]
 /// A number in the pattern stands for itself. The failing argument is named with what came and what
 /// was wanted.
 class Dims {
  public:
+  /// `where` begins the error texts: the op's name.
   explicit Dims(std::string where) : where_(std::move(where)) {}
 
-  /// `argument` is anything with `shape()`, or a Shape. throws ShapeError
+  /// Binds or checks every extent of one argument.
+  /// name      of the argument, for the error
+  /// argument  anything with `shape()`, or a Shape
+  /// pattern   one letter or number per axis, "N C H W"
+  /// returns   this object, so that calls may be chained
+  /// throws    ShapeError
   template <class A>
   Dims& match(const char* name, const A& argument, const char* pattern) {
     return match_shape(name, shape_of(argument), pattern);
   }
-  /// throws ShapeError if the name was never bound
+  /// The extent bound to a letter.
+  /// throws  ShapeError if the letter was never bound
   Index operator[](const char* letter) const;
 
  private:

@@ -5,8 +5,8 @@
 
 namespace satsurf {
 
-/// Base of everything this library throws. The text reads `where: what came, what was wanted[;
-/// hint]`.
+/// Base of everything this library throws. The text reads
+///   where: what came, what was wanted[; hint]
 struct Error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -28,8 +28,8 @@ struct ConfigError : Error {
 
 }  // namespace satsurf
 
-/// Internal impossibilities only; caller mistakes and bad files throw. Active in debug and
-/// sanitizer builds.
+/// Internal impossibilities only; caller mistakes and bad files throw.
+/// Active in debug and sanitizer builds.
 #ifdef SATSURF_CHECKED
 #include <cstdlib>
 #define SATSURF_ASSERT(condition) ((condition) ? void(0) : std::abort())

@@ -130,14 +130,21 @@ std::vector<FieldInfo> describe(const S& s = S()) {
 }
 
 /// Sets one field from text, as a command line gives it. Lists are separated by commas.
-/// throws ConfigError that begins with `where`; `s` is then unchanged
+/// s            the struct; unchanged when this throws
+/// dotted_name  as in FieldInfo
+/// text         the value
+/// where        begins the error text
+/// throws       ConfigError
 template <HasFields S>
 void set_field(S& s, const std::string& dotted_name, const std::string& text,
                const std::string& where = "option") {
   detail::set_ref(collect_fields(s), dotted_name, text, where);
 }
 
-/// Checks that the values of a struct filled in by code lie in their ranges. throws ConfigError
+/// Checks that the values of a struct filled in by code lie in their ranges.
+/// s       the struct
+/// where   begins the error text
+/// throws  ConfigError
 template <HasFields S>
 void check_fields(const S& s, const std::string& where) {
   S copy = s;

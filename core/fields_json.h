@@ -13,9 +13,13 @@
 namespace satsurf {
 
 /// Parses one JSON document; stricter than the standard: a repeated key is an error, and so is
-/// nesting deeper than 64. throws IoError `where: line 3, column 5: ...`
+/// nesting deeper than 64.
+/// text    the document
+/// where   begins the error text
+/// throws  IoError `where: line 3, column 5: ...`
 nlohmann::json parse_json(std::string_view text, const std::string& where);
-/// throws IoError that names the file, and the line where it is malformed
+/// Reads one JSON document, as strictly as `parse_json`.
+/// throws  IoError that names the file, and the line where it is malformed
 nlohmann::json load_json_file(const std::filesystem::path& path);
 
 namespace detail {
@@ -25,7 +29,7 @@ void refs_from_json(const nlohmann::json& json, const std::vector<FieldRef>& fie
 }  // namespace detail
 
 /// The fields as nested objects, in alphabetical order of their names.
-/// throws ConfigError for NaN and infinities, which JSON cannot hold
+/// throws  ConfigError for NaN and infinities, which JSON cannot hold
 template <HasFields S>
 nlohmann::json to_json(const S& s) {
   S copy = s;
@@ -33,8 +37,10 @@ nlohmann::json to_json(const S& s) {
 }
 
 /// Sets the fields that `json` names and leaves the others as they are.
-/// throws ConfigError that begins with `where` and names the field, what came and what was wanted;
-/// `s` is then unchanged
+/// json    an object, nested as the struct is
+/// s       the struct; unchanged when this throws
+/// where   begins the error text
+/// throws  ConfigError that names the field, what came and what was wanted
 template <HasFields S>
 void from_json(const nlohmann::json& json, S& s, const std::string& where) {
   S copy = s;

@@ -7,9 +7,10 @@ namespace satsurf {
 enum class Isa { baseline, avx2, avx512 };
 
 /// The best set this processor and operating system offer, or the one `SATSURF_ISA` (baseline,
-/// avx2, avx512) asks for. Fixed at the first call. throws ConfigError if the variable names an
-/// unknown or unavailable set.
+/// avx2, avx512) asks for. Fixed at the first call.
+/// throws  ConfigError if the variable names an unknown or unavailable set
 Isa active_isa();
+/// As `SATSURF_ISA` spells it.
 const char* isa_name(Isa isa);
 
 }  // namespace satsurf

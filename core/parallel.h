@@ -8,9 +8,9 @@
 
 namespace satsurf {
 
-/// Caps the threads of every loop below; 0, or more than there are cores, means all cores. The only
-/// global state of the engine. Results never depend on it: loops are cut into the same pieces
-/// whatever runs them.
+/// Caps the threads of every loop below. The only global state of the engine. Results never depend
+/// on it: loops are cut into the same pieces whatever runs them.
+/// threads  0, or more than there are cores, means all cores
 void set_threads(int threads);
 /// Threads in use now (the cap, or what the caller's TBB arena offers).
 int threads();
@@ -19,9 +19,9 @@ namespace detail {
 void run_pieces(Index pieces, const std::function<void(Index)>& piece);
 }
 
-/// Calls `body(begin, end)` for consecutive pieces of [0, n), each of at most `grain` iterations,
-/// in parallel. The pieces depend on n and grain alone. Each output element must be written by one
-/// piece.
+/// Runs a loop over [0, n) in parallel, in pieces that depend on n and grain alone.
+/// grain  iterations of a piece, at most
+/// body   called as body(begin, end); each output element must be written by one piece
 template <class Body>
 void for_range(Index n, Index grain, const Body& body) {
   if (n <= 0) return;
@@ -30,8 +30,8 @@ void for_range(Index n, Index grain, const Body& body) {
   detail::run_pieces(pieces, [&](Index p) { body(p * g, p * g + g < n ? p * g + g : n); });
 }
 
-/// Calls `body(i)` for every i in [0, n) in parallel; for bodies that are each at least some
-/// microseconds.
+/// Runs body(i) for every i in [0, n) in parallel.
+/// body  at least some microseconds of work each
 template <class Body>
 void for_each_index(Index n, const Body& body) {
   for_range(n, 1, [&](Index begin, Index end) {
@@ -39,8 +39,11 @@ void for_each_index(Index n, const Body& body) {
   });
 }
 
-/// Sum over [0, n) that is the same for any number of threads: `part(begin, end)` returns each
-/// piece's value, and the values are added in order.
+/// Sum over [0, n) that is the same for any number of threads.
+/// grain    iterations of a piece, at most
+/// init     what the pieces' values are added to, in order
+/// part     called as part(begin, end); returns a piece's value
+/// returns  the sum
 template <class Value, class Part>
 Value ordered_reduce(Index n, Index grain, Value init, const Part& part) {
   if (n <= 0) return init;

@@ -19,18 +19,22 @@ struct Quadratic {
   double rms = 0;  ///< fit residual in units of the output (px or m)
   double max = 0;  ///< largest residual on the fitting grid, same unit
 
+  /// The outputs at one point.
   std::array<double, 2> operator()(double x, double y, double z) const;
-  /// [out][in]: derivative of the outputs in units of output per unit of input.
+  /// Derivatives at one point, [out][in], in units of output per unit of input.
   std::array<std::array<double, 3>, 2> jacobian(double x, double y, double z) const;
 };
 
-/// The same map for pixel grids downsampled by `in_stride` (inputs x, y) and `out_stride`
-/// (outputs), with pixel centres at x_s = (x + 0.5) / s - 0.5. A stride of 1 leaves that side as it
-/// is.
+/// The same map for downsampled pixel grids, with pixel centres at x_s = (x + 0.5) / s - 0.5.
+/// map         from pixels x, y and a height to pixels
+/// in_stride   s of the inputs x, y; 1 leaves them as they are
+/// out_stride  s of the outputs; 1 leaves them as they are
 Quadratic rescale_pixels(const Quadratic& map, double in_stride, double out_stride);
 
-/// The same map after moving the origin of the input pixels (x, y) by `in` and of the output pixels
-/// by `out`: inputs become p - in, outputs become out_k - out.
+/// The same map after moving the origins of the pixels: inputs become p - in, outputs out_k - out.
+/// map  from pixels x, y and a height to pixels
+/// in   new origin of the input pixels x, y
+/// out  new origin of the output pixels
 Quadratic shift_pixels(const Quadratic& map, std::array<double, 2> in, std::array<double, 2> out);
 
 }  // namespace satsurf

@@ -21,7 +21,8 @@ class Shape {
   static constexpr Index kMaxRank = 5;  // view or batch, channel, hypothesis, row, column
 
   Shape() = default;
-  /// throws ShapeError if the rank exceeds 5, an extent is negative, or there are too many elements
+  /// throws  ShapeError if the rank exceeds 5, an extent is negative, or there are too many
+  ///         elements
   Shape(std::initializer_list<Index> extents) : Shape(std::span(extents.begin(), extents.size())) {}
   explicit Shape(std::span<const Index> extents);
 
@@ -36,6 +37,7 @@ class Shape {
   }
   /// The same shape with one extent replaced.
   Shape with(Index axis, Index extent) const;
+  /// `[4,3,2]`
   std::string str() const;
 
   friend bool operator==(const Shape&, const Shape&) = default;

@@ -18,13 +18,16 @@ class BasicTensor {
   BasicTensor() = default;
   /// Elements are zero.
   explicit BasicTensor(const Shape& shape);
+  /// Elements are `fill`.
   BasicTensor(const Shape& shape, T fill);
   /// Elements are indeterminate; for outputs of which every element gets written.
   static BasicTensor uninitialised(const Shape& shape);
+  /// Zeros of another tensor's shape; empty if that is.
   static BasicTensor zeros_like(const BasicTensor& other) {
     return other.empty() ? BasicTensor() : BasicTensor(other.shape());
   }
-  /// throws ShapeError if the number of values is not the shape's
+  /// A copy of values in row-major order.
+  /// throws  ShapeError if their number is not the shape's
   static BasicTensor from(const Shape& shape, std::span<const T> values);
   static BasicTensor from(const Shape& shape, std::initializer_list<T> values) {
     return from(shape, std::span<const T>(values.begin(), values.size()));
@@ -45,14 +48,18 @@ class BasicTensor {
   const T& operator[](Index i) const { return buffer_.get()[i]; }
   std::span<T> values() { return {data(), static_cast<std::size_t>(count())}; }
   std::span<const T> values() const { return {data(), static_cast<std::size_t>(count())}; }
-  /// The only element; throws ShapeError if there are more or fewer.
+  /// The only element.
+  /// throws  ShapeError if there are more or fewer
   T item() const;
 
+  /// A copy of the elements in a buffer of its own.
   BasicTensor clone() const;
-  /// The same buffer under another shape; throws ShapeError if the counts differ.
+  /// The same buffer under another shape.
+  /// throws  ShapeError if the numbers of elements differ
   BasicTensor reshaped(const Shape& shape) const;
   /// The contiguous block number `i` along axis 0, copied: shape without its first extent.
   BasicTensor slice0(Index i) const;
+  /// The elements converted one by one.
   template <class U>
   BasicTensor<U> cast() const {
     if (empty()) return {};
@@ -69,9 +76,11 @@ class BasicTensor {
 
 using Tensor = BasicTensor<float>;
 
-/// Bytes in tensor buffers now, and at most since the last `reset_peak_tensor_bytes()`.
+/// Bytes in tensor buffers now.
 std::size_t tensor_bytes();
+/// The most there were at one time since the last `reset_peak_tensor_bytes()`.
 std::size_t peak_tensor_bytes();
+/// Starts `peak_tensor_bytes()` again from what there is now.
 void reset_peak_tensor_bytes();
 /// Returns the buffers kept for reuse to the system.
 void release_tensor_cache();

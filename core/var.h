@@ -63,13 +63,17 @@ class BasicVar {
 
   /// Runs the tape backwards from this value and adds into the gradients of all leaves that want
   /// one. Nodes on the way drop their inputs, saved values and gradients as soon as they have run,
-  /// so a tape can be run once. seed  same shape as this value; may be omitted for a single element
-  /// (then 1) throws ShapeError
+  /// so a tape can be run once.
+  /// seed    d(objective)/d(this), this value's shape; 1 if left out, for a single element only
+  /// throws  ShapeError
   void backward(const BasicTensor<T>& seed = {}) const;
 
-  /// Puts an op's result on the tape. `backward` reads `n.grad` and adds into `n.grad_in(i)`; it is
-  /// dropped at once if no input wants a gradient or under NoGrad. Inputs may be empty Vars
-  /// (optional arguments): their `grad_in` is nullptr.
+  /// Puts an op's result on the tape.
+  /// op        its name, for errors; must outlive the tape
+  /// value     the result
+  /// inputs    what it was made from; may hold empty Vars (optional arguments)
+  /// backward  reads `n.grad` and adds into `n.grad_in(i)`, which is nullptr where nobody wants it;
+  ///           dropped at once if no input wants a gradient or under NoGrad
   static BasicVar record(const char* op, BasicTensor<T> value, std::vector<BasicVar> inputs,
                          typename Node<T>::Backward backward);
 

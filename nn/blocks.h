@@ -12,7 +12,7 @@ namespace satsurf::nn {
 /// Groups of a GroupNorm over `channels`: groups of about four channels, at most eight of them.
 Index norm_groups(Index channels);
 
-/// 2D convolution, with bias. Padding keeps (stride 1) or divides (stride s) the size.
+/// 2D convolution with bias. Padding keeps (stride 1) or divides (stride s) the size.
 template <class T>
 struct Conv2d {
   BasicVar<T> weight, bias;
@@ -22,7 +22,7 @@ struct Conv2d {
   BasicVar<T> operator()(const BasicVar<T>& x) const { return conv2d(x, weight, bias, options); }
 };
 
-/// 2D convolution, GroupNorm and activation. x [B C H W].
+/// 2D convolution, GroupNorm and activation, on maps [B C H W].
 template <class T>
 struct ConvNorm2d {
   BasicVar<T> weight, gamma, beta;
@@ -33,7 +33,7 @@ struct ConvNorm2d {
   BasicVar<T> operator()(const BasicVar<T>& x) const;
 };
 
-/// 3D convolution (3 x 3 x 3), GroupNorm and ReLU. x [B C D H W].
+/// 3D convolution (3 x 3 x 3), GroupNorm and ReLU, on volumes [B C D H W].
 template <class T>
 struct ConvNorm3d {
   BasicVar<T> weight, gamma, beta;
@@ -42,7 +42,7 @@ struct ConvNorm3d {
   BasicVar<T> operator()(const BasicVar<T>& x) const;
 };
 
-/// Transposed 3D convolution that doubles every axis, GroupNorm and ReLU.
+/// Transposed 3D convolution that doubles every axis, GroupNorm and ReLU, on volumes [B C D H W].
 template <class T>
 struct UpNorm3d {
   BasicVar<T> weight, gamma, beta;

@@ -58,7 +58,7 @@ struct ModelConfig {
 };
 
 /// Named configurations: tiny (tests), base8 (shipped weights), base16 (larger).
-/// throws ConfigError naming the presets there are
+/// throws  ConfigError naming the presets there are
 ModelConfig model_preset(const std::string& name);
 
 /// Pixel sizes must be multiples of this: the coarsest stride times the U-Net's halvings.

@@ -7,14 +7,18 @@
 
 namespace satsurf::nn {
 
-/// 3D U-Net that turns a variance volume into one logit per hypothesis. Source: Yao et al. 2018
-/// (MVSNet), figure 2.
+/// 3D U-Net that turns a variance volume into one logit per hypothesis.
+/// Source: Yao et al. 2018 (MVSNet), figure 2.
 template <class T>
 class CostNet {
  public:
-  /// channels  of the variance volume; base and levels as in ModelConfig
+  /// p             where the parameters are created, under `name`
+  /// channels      of the variance volume
+  /// base, levels  as volume_base and volume_levels of ModelConfig
   CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base, Index levels);
-  /// volume [C D H W], D, H and W multiples of 2^levels; returns logits [1 D H W]
+  /// volume   [C D H W], D, H and W multiples of 2^levels
+  /// returns  logits [1 D H W]
+  /// throws   ShapeError
   BasicVar<T> operator()(BasicVar<T> volume) const;
 
  private:

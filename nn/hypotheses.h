@@ -8,22 +8,33 @@
 
 namespace satsurf::nn {
 
-/// Mean parallax over all ordered pairs of source views, image pixels per metre of height, at the
-/// window's centre.
+/// Mean parallax over all ordered pairs of source views, at the window's centre.
+/// returns  image pixels per metre of height
 double mean_parallax(const SceneInput& scene);
 
-/// Distance between the hypotheses of each stage, m. The last stage's is `interval_px` of
-/// disparity, clipped to [interval_min, interval_max]; the second's is twice that; the first
-/// divides the scene's range evenly.
+/// Distance between the hypotheses of each stage. The last stage's is `interval_px` of disparity,
+/// clipped to [interval_min, interval_max]; the second's is twice that; the first divides the
+/// scene's range evenly.
+/// returns  m, coarse to fine
 std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const SceneInput& scene);
 
-/// Stage 1: D heights from low to high, both included, the same for every pixel. returns [N D H W]
+/// Stage 1: heights from low to high, both included, the same for every pixel.
+/// low, high      m
+/// views          N
+/// hypotheses     D
+/// height, width  of the stage's maps, px
+/// returns        [N D H W] m
 template <class T>
 BasicTensor<T> uniform_hypotheses(double low, double high, Index views, Index hypotheses,
                                   Index height, Index width);
 
-/// Later stages: D heights `interval` apart around each pixel's centre height; a window that would
-/// leave [low, high] is shifted back inside, not squeezed. centre [N H W] m. returns [N D H W]
+/// Later stages: heights around each pixel's centre height; a window that would leave [low, high]
+/// is shifted back inside, not squeezed.
+/// centre      [N H W] m
+/// interval    between neighbouring hypotheses, m
+/// hypotheses  D
+/// low, high   m
+/// returns     [N D H W] m
 template <class T>
 BasicTensor<T> narrowed_hypotheses(const BasicTensor<T>& centre, double interval, Index hypotheses,
                                    double low, double high);

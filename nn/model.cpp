@@ -36,8 +36,8 @@ BasicTensor<T> standardised(const View& v) {
     }
   const double mean = count > 0 ? sum / count : 0;
   const double variance = count > 0 ? std::max(squares / count - mean * mean, 0.0) : 0;
-  constexpr double kFlat =
-      1e-3;  // an image without contrast stays near zero instead of amplifying its noise
+  // an image without contrast stays near zero instead of amplifying its noise
+  constexpr double kFlat = 1e-3;
   const double inverse = 1 / (std::sqrt(variance) + kFlat);
   auto out = BasicTensor<T>::uninitialised({1, 3, H, W});
   for_each_index(3 * H, [&](Index row) {
@@ -179,8 +179,8 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
     } else {
       const NoGrad no_grad;
       const BasicVar<T> centre = resize_bilinear(out[s - 1].height.detach(), h, w);
-      const double margin =
-          2 * intervals[s];  // a surface at the very edge of the range stays inside the band
+      // a surface at the very edge of the range stays inside the band
+      const double margin = 2 * intervals[s];
       stage.hypotheses = narrowed_hypotheses(centre.value(), intervals[s], D, scene.z_low - margin,
                                              scene.z_high + margin);
     }

@@ -28,7 +28,8 @@ struct StageOutput {
 template <class T>
 class BasicModel {
  public:
-  /// Parameters are initialised from `seed`. throws ConfigError
+  /// Parameters are initialised from `seed`.
+  /// throws  ConfigError
   BasicModel(const ModelConfig& config, std::uint64_t seed);
   ~BasicModel();
   BasicModel(BasicModel&&) noexcept;
@@ -39,7 +40,7 @@ class BasicModel {
   const ParameterSet<T>& parameters() const;
 
   /// Heights, confidences and surfels of every stage, coarse to fine.
-  /// throws ShapeError if views differ in size or are no multiple of `size_multiple`
+  /// throws  ShapeError if views differ in size or are no multiple of `size_multiple`
   std::array<StageOutput<T>, 3> forward(const SceneInput& scene) const;
 
  private:
@@ -48,8 +49,12 @@ class BasicModel {
 };
 using Model = BasicModel<float>;
 
-/// Renders surfels into a view of height x width image pixels, at one of the stage strides.
-/// pixel_from_local  the view's projection in image pixels
+/// Renders surfels into a view at one of the stage strides.
+/// surfels           in the local frame
+/// pixel_from_local  the view's projection, in image pixels
+/// height, width     of the view, image pixels
+/// stride            image pixels per rendered pixel: 4, 2 or 1
+/// returns           maps of height / stride x width / stride
 template <class T>
 splat::BasicRender<T> render_view(const splat::BasicSurfels<T>& surfels,
                                   const Quadratic& pixel_from_local, Index height, Index width,

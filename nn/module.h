@@ -15,7 +15,7 @@ namespace satsurf::nn {
 struct Init {
   enum class Kind { constant, kaiming } kind = Kind::constant;
   double value = 0;  ///< of a constant
-  Index fan_in = 1;  ///< of kaiming: N(0, 2 / fan_in). Source: He et al. 2015, eq. 10
+  Index fan_in = 1;  ///< of kaiming: N(0, 2 / fan_in) (He et al. 2015, eq. 10)
   static Init constant(double value) { return {Kind::constant, value, 1}; }
   static Init kaiming(Index fan_in) { return {Kind::kaiming, 0, fan_in}; }
 };
@@ -27,23 +27,29 @@ class ParameterSet {
  public:
   struct Entry {
     std::string name;
-    BasicVar<T> var;
-    bool decays;  ///< weight decay applies (weights yes, norms and biases no)
+    BasicVar<T> var;  ///< shared with the layer that uses it
+    bool decays;      ///< weight decay applies (weights yes, norms and biases no)
   };
 
   explicit ParameterSet(std::uint64_t seed) : seed_(seed) {}
 
-  /// throws Error if the name is taken
+  /// Adds a parameter.
+  /// name    under which it is stored
+  /// init    how it is filled
+  /// decays  whether weight decay applies
+  /// throws  Error if the name is taken
   BasicVar<T> create(const std::string& name, const Shape& shape, const Init& init, bool decays);
 
   const std::vector<Entry>& entries() const { return entries_; }
-  Index count() const;  ///< numbers in all
+  /// Numbers in all.
+  Index count() const;
   void clear_grads();
 
   /// Adds every parameter under `prefix` + its name.
   void store(TensorFile& file, const std::string& prefix) const;
-  /// Takes every parameter from `prefix` + its name. throws IoError listing missing, extra and
-  /// mis-shaped names
+  /// Takes every parameter from `prefix` + its name.
+  /// where   begins the error texts
+  /// throws  IoError listing missing, extra and mis-shaped names
   void load(const TensorFile& file, const std::string& prefix, const std::string& where);
 
  private:

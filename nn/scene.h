@@ -20,8 +20,8 @@ struct View {
 /// them.
 struct SceneInput {
   std::vector<View> sources;  ///< two or more, H and W multiples of `size_multiple`
-  std::vector<std::vector<Quadratic>>
-      transfer;                  ///< [reference][source]: (x, y, z) -> px; the diagonal is unused
+  /// [reference][source]: (x, y, z) -> px; the diagonal is unused.
+  std::vector<std::vector<Quadratic>> transfer;
   double z_low = 0, z_high = 0;  ///< height range in the local frame, m
 };
 

@@ -14,8 +14,8 @@ namespace {
 
 constexpr double kScaleLow = 0.1, kScaleSpan = 2.9;  // standard deviation in pixels: 0.1 to 3
 constexpr double kScaleBias = -1.57;  // sigmoid -> 0.17: 0.6 pixels, neighbours just overlap
-constexpr double kOpacityBias =
-    1.0;                       // 0.73: front surfels dominate, those behind still get gradients
+/// 0.73 behind the sigmoid: front surfels dominate, those behind still get gradients.
+constexpr double kOpacityBias = 1.0;
 constexpr Index kPacked = 13;  // means 3, quats 4, scales 2, opacity 1, colours 3
 
 double sigmoid_of(double x) {
@@ -80,8 +80,8 @@ splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<
     const auto product = left_product(g.quat);
     for (Index x = 0; x < W; ++x) {
       const Index i = y * W + x;
-      const T* r =
-          raw.value().data() + n * SurfelHead<T>::kOutputs * P + i;  // channel k at r[k * P]
+      // channel k at r[k * P]
+      const T* r = raw.value().data() + n * SurfelHead<T>::kOutputs * P + i;
       T* o = out.data() + (n * P + i) * kPacked;
       const double z = static_cast<double>(height.value()[n * P + i]);
       const auto ground = g.local_from_pixel(static_cast<double>(x), static_cast<double>(y), z);

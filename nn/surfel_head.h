@@ -17,18 +17,25 @@ struct PixelGeometry {
   double footprint = 1;                    ///< across-ray ground size of a stage pixel, m
 };
 
-/// From a view's camera in image pixels. throws Error for a mirrored image
+/// From a view's camera.
+/// view    its camera in image pixels
+/// z       local height at which the camera is looked at, m
+/// stride  image pixels per stage pixel
+/// throws  Error for a mirrored image
 PixelGeometry pixel_geometry(const View& view, double z, Index stride);
 
-/// 2D network from image, features and height distribution to raw surfel attributes.
-///   3x3 -> width, GroupNorm, GELU; two residual 3x3; 1x1 -> 10, zero-initialised with the biases
-///   of an opaque disc of 0.6 pixels that faces the camera and has the image's colour
+/// 2D network from image, features and height distribution to raw surfel attributes:
+///   3x3 -> width, GroupNorm, GELU; two residual 3x3; 1x1 -> 10
+/// The last layer's weights start at zero and its biases give an opaque disc of 0.6 pixels that
+/// faces the camera and has the image's colour.
 template <class T>
 class SurfelHead {
  public:
   static constexpr Index kOutputs = 10;  // scale 2, rotation 4, opacity 1, colour 3
   SurfelHead(ParameterSet<T>& p, const std::string& name, Index channels, Index width);
-  /// x [N C H W]; returns [N 10 H W]
+  /// x        [N C H W]
+  /// returns  [N 10 H W]
+  /// throws   ShapeError
   BasicVar<T> operator()(const BasicVar<T>& x) const;
 
  private:
@@ -37,16 +44,20 @@ class SurfelHead {
 };
 
 /// One surfel per pixel from raw attributes and heights:
-///   mu = localisation(pixel centre, H)                    scale = footprint (0.1 + 2.9
-///   sigmoid(r0..1)) q = q_view (x) (1 + r2, r3, r4, r5), or q_view alone   opacity = sigmoid(r6)
-///   colour = image + r7..9
+///   mu      = localisation(pixel centre, H)
+///   scale   = footprint (0.1 + 2.9 sigmoid(r0..1))
+///   q       = q_view (x) (1 + r2, r3, r4, r5), or q_view alone
+///   opacity = sigmoid(r6)
+///   colour  = image + r7..9
 /// dL/dH = v . dL/dmu with v the ground displacement along the ray per metre (v_z = 1).
-/// raw         [N 10 H W]
-/// height      [N H W] m
-/// image       [N 3 H W]
-/// confidence  [N H W], becomes auxiliary channel 0
-/// geometry    N cameras at this resolution
-/// throws ShapeError
+/// raw                [N 10 H W]
+/// height             [N H W] m
+/// image              [N 3 H W]
+/// confidence         [N H W], becomes auxiliary channel 0
+/// geometry           N cameras at this resolution
+/// residual_rotation  false: q_view alone
+/// returns            N*H*W surfels in the local frame
+/// throws             ShapeError
 template <class T>
 splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<T>& height,
                                          const BasicTensor<T>& image, const BasicVar<T>& confidence,

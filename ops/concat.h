@@ -7,17 +7,36 @@
 
 namespace satsurf {
 
-/// Joins along `axis`; all other extents are equal. throws ShapeError
+/// Joins along one axis.
+/// parts    one or more, equal in all other extents
+/// axis     0 to rank - 1
+/// returns  the parts' shape, their extents added up along `axis`
+/// throws   ShapeError
 template <class T>
 BasicVar<T> concat(const std::vector<BasicVar<T>>& parts, Index axis);
-/// Elements begin..end-1 along `axis`. throws ShapeError
+
+/// A stretch of one axis.
+/// x           any shape
+/// axis        0 to rank - 1
+/// begin, end  elements begin..end-1 are taken
+/// returns     x's shape with `end - begin` along `axis`
+/// throws      ShapeError
 template <class T>
 BasicVar<T> slice(const BasicVar<T>& x, Index axis, Index begin, Index end);
-/// The same elements in the same order under another shape (the buffer is shared). throws
-/// ShapeError
+
+/// The same elements in the same order under another shape.
+/// x        any shape
+/// shape    as many elements as x has
+/// returns  `shape`
+/// throws   ShapeError
+/// memory   none: the buffer is shared
 template <class T>
 BasicVar<T> reshape(const BasicVar<T>& x, const Shape& shape);
-/// One row per pixel: [N C H W] -> [N*H*W C]. throws ShapeError
+
+/// One row per pixel.
+/// x        [N C H W]
+/// returns  [N*H*W C]
+/// throws   ShapeError
 template <class T>
 BasicVar<T> pixels_from_map(const BasicVar<T>& x);
 

@@ -7,52 +7,52 @@
 
 namespace satsurf {
 
-/// Strides and zero padding of a 2D convolution, in rows and columns.
+/// Of a 2D convolution, in rows and columns.
 struct Conv2dOptions {
   std::array<Index, 2> stride{1, 1};
-  std::array<Index, 2> padding{0, 0};
+  std::array<Index, 2> padding{0, 0};  ///< zeros on either side
 };
 
-/// Strides and zero padding of a 3D convolution, in hypotheses, rows and columns.
+/// Of a 3D convolution, in hypotheses, rows and columns.
 struct Conv3dOptions {
   std::array<Index, 3> stride{1, 1, 1};
-  std::array<Index, 3> padding{0, 0, 0};
+  std::array<Index, 3> padding{0, 0, 0};  ///< zeros on either side
 };
 
-/// Strides, padding and extra trailing outputs of a transposed 3D convolution.
+/// Of a transposed 3D convolution, in hypotheses, rows and columns.
 struct ConvTranspose3dOptions {
   std::array<Index, 3> stride{1, 1, 1};
-  std::array<Index, 3> padding{0, 0, 0};
-  std::array<Index, 3> output_padding{0, 0, 0};
+  std::array<Index, 3> padding{0, 0, 0};         ///< cut off the result on either side
+  std::array<Index, 3> output_padding{0, 0, 0};  ///< further outputs behind the last
 };
 
 /// 2D cross-correlation:
 ///   out[b,o,y,x] = bias[o] + sum_{c,i,j} weight[o,c,i,j] x[b,c,y*sy+i-py,x*sx+j-px]
-/// x       [B C H W]
-/// weight  [O C KH KW]
-/// bias    [O], or an empty Var for none
-/// returns [B O H' W'] with H' = (H + 2 py - KH) / sy + 1 (floor)
-/// throws  ShapeError
+/// x        [B C H W]
+/// weight   [O C KH KW]
+/// bias     [O], or an empty Var for none
+/// returns  [B O H' W'] with H' = (H + 2 py - KH) / sy + 1 (floor), likewise W'
+/// throws   ShapeError
 template <class T>
 BasicVar<T> conv2d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
                    const Conv2dOptions& options = {});
 
 /// 3D cross-correlation, as conv2d with one more axis in front of the rows.
-/// x       [B C D H W]
-/// weight  [O C KD KH KW]
-/// bias    [O], or an empty Var for none
-/// returns [B O D' H' W']
-/// throws  ShapeError
+/// x        [B C D H W]
+/// weight   [O C KD KH KW]
+/// bias     [O], or an empty Var for none
+/// returns  [B O D' H' W']
+/// throws   ShapeError
 template <class T>
 BasicVar<T> conv3d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
                    const Conv3dOptions& options = {});
 
 /// Transposed 3D convolution: the data gradient of conv3d with the same options, as a forward op.
-/// x       [B C D H W]
-/// weight  [C O KD KH KW]
-/// bias    [O], or an empty Var for none
-/// returns [B O D' H' W'] with D' = (D - 1) s - 2 p + KD + output_padding
-/// throws  ShapeError
+/// x        [B C D H W]
+/// weight   [C O KD KH KW]
+/// bias     [O], or an empty Var for none
+/// returns  [B O D' H' W'] with D' = (D - 1) s - 2 p + KD + output_padding, likewise H' and W'
+/// throws   ShapeError
 template <class T>
 BasicVar<T> conv_transpose3d(const BasicVar<T>& x, const BasicVar<T>& weight,
                              const BasicVar<T>& bias, const ConvTranspose3dOptions& options = {});

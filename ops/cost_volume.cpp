@@ -126,8 +126,8 @@ struct Bands {
 
   Bands(const std::vector<std::int32_t>& range, Index H, Index sources) : J(sources) {
     constexpr Index kMostBands = 32, kLeastHeight = 2;
-    constexpr Index kMostCopies =
-        4;  // of the source maps' gradients, unless there is one band only
+    // copies of the source maps' gradients, unless there is one band only
+    constexpr Index kMostCopies = 4;
     for (height = std::max(kLeastHeight, (H + kMostBands - 1) / kMostBands);; height *= 2) {
       cut(range, H);
       if (rows <= kMostCopies * J * H || count == 1) break;

@@ -11,18 +11,19 @@
 
 namespace satsurf {
 
-inline constexpr Index kSweepTile =
-    64;  // reference pixels worked on together: four cache lines of float
+/// Reference pixels worked on together: four cache lines of float.
+inline constexpr Index kSweepTile = 64;
 
 /// A quadratic map restricted to one reference row, in the normalised column a = x ax + a0 and the
-/// normalised height t = (z - z0) tz:  u = (u[0] + a (u[1] + a u[2])) + t ((u[3] + a u[4]) + t
-/// u[5]), likewise v.
+/// normalised height t = (z - z0) tz:
+///   u = (u[0] + a (u[1] + a u[2])) + t ((u[3] + a u[4]) + t u[5]), likewise v
 struct SweepMap {
   double ax, a0, tz, z0;
   double u[6], v[6];
 };
 
-/// The map of each pixel of a tile:  u = u[0] + t (u[1] + t u2), likewise v.
+/// The map of each pixel of a tile:
+///   u = u[0] + t (u[1] + t u2), likewise v
 template <class T>
 struct SweepLines {
   T u[2][kSweepTile], v[2][kSweepTile], u2, v2, tz, z0;
@@ -36,6 +37,7 @@ struct SweepTaps {
   T weight[4][kSweepTile], counts[kSweepTile];
 };
 
+/// One reference row: what is read, and scratch.
 template <class T>
 struct SweepRow {
   Index H, W, C, Cs, D, J;  ///< J source views, that is all but the reference
@@ -55,12 +57,10 @@ struct SweepRow {
 
 // Declared once per instruction set, see core/isa.h:
 //   sweep_forward   writes the row of `out` [C D H W]; touched[2 j], touched[2 j + 1] become the
-//   first and last row
-//                   of source j that was read (H and -1 if none)
+//                   first and last row of source j that was read (H and -1 if none)
 //   sweep_backward  `g` is the row of the upstream gradient [C D H W]; adds to the row of
-//   `d_reference` [C H W]
-//                   and to `d_sources`[j], which hold the rows from first_row[j] on,
-//                   channels-last
+//                   `d_reference` [C H W] and to `d_sources`[j], which hold the rows from
+//                   first_row[j] on, channels-last
 //   sweep_to_pixels [C W] with plane_stride between channels to [W Cs]; padding channels become 0
 //   sweep_add_rows  adds the sum of `count` channels-last rows, in order, to [C W]; `tile` as above
 

@@ -11,20 +11,21 @@
 //   logistic         y = 1 / (1 + exp(-x))
 //   norm_sums        sums[0] = sum(x - shift), sums[1] = sum((x - shift)^2)
 //   norm_apply       y = act(scale x + offset)
-//   norm_slopes      dz = g act'(z), z = gamma x_hat + beta, x_hat = rstd x + shift; sums[0] =
-//   sum(dz),
-//                    sums[1] = sum(dz x_hat). dz is stored unless nullptr
+//   norm_slopes      dz = g act'(z), z = gamma x_hat + beta, x_hat = rstd x + shift;
+//                    sums[0] = sum(dz), sums[1] = sum(dz x_hat); dz is stored unless nullptr
 //   norm_gradient    d += a dz + b x + c, dz as stored, or from g by the ReLU's mask (z > 0) or no
-//   activation softmax          over D planes `stride` apart, n <= kSoftmaxTile pixels; tile [D
-//   kSoftmaxTile] softmax_backward d += p (g - sum_k p_k g_k); tile [kSoftmaxTile]
+//                    activation
+//   softmax          over D planes `stride` apart, n <= kSoftmaxTile pixels;
+//                    tile [D kSoftmaxTile]
+//   softmax_backward d += p (g - sum_k p_k g_k); tile [kSoftmaxTile]
 // Sums are taken in lanes of T for short runs and in double between them, in a fixed order.
 
 namespace satsurf {
 
 enum class Activation;
 
-inline constexpr Index kSoftmaxTile =
-    64;  // pixels: 64 hypotheses of them are half a first-level cache
+/// Pixels worked on together: 64 hypotheses of them are half a first-level cache.
+inline constexpr Index kSoftmaxTile = 64;
 
 /// One row (b, c) of a group norm: x_hat = rstd x + shift, z = gamma x_hat + beta.
 template <class T>

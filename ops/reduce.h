@@ -5,10 +5,16 @@
 
 namespace satsurf {
 
-/// Sum of all elements, as a scalar. Partial sums are in double and in a fixed order.
+/// Sum of all elements, partial sums in double and in a fixed order.
+/// x        any shape
+/// returns  a scalar
 template <class T>
 BasicVar<T> sum(const BasicVar<T>& x);
-/// Mean of all elements, as a scalar. throws ShapeError if there are none
+
+/// Mean of all elements, summed as in `sum`.
+/// x        any shape with at least one element
+/// returns  a scalar
+/// throws   ShapeError
 template <class T>
 BasicVar<T> mean(const BasicVar<T>& x);
 

@@ -17,27 +17,45 @@ struct HeightRange {
   double low = 0, high = 0;
 };
 
-/// Pixel transfer (x, y, z) in `reference` -> pixel in `source`; z = h - frame.h0. Least squares in
-/// double on an 11 x 11 x 7 Newton grid over the window and the height range; residuals are stored
-/// in the result.
+/// Pixel transfer (x, y, z) in `reference` -> pixel in `source`, with z = h - frame.h0. Least
+/// squares in double on an 11 x 11 x 7 Newton grid over the window and the height range.
+/// reference, source  cameras of the two images
+/// frame              gives the origin of z
+/// window             pixels of `reference`
+/// range              m above the ellipsoid
+/// returns            the map, with the residuals of the fit
+/// throws             Error
 Quadratic fit_transfer(const Rpc& reference, const Rpc& source, const LocalFrame& frame,
                        const Window& window, const HeightRange& range);
-/// Localisation (x, y, z) -> local (x, y) in m.
+/// Localisation (x, y, z) -> local (x, y) in m, fitted as in `fit_transfer`.
+/// rpc      camera of the image
+/// frame    of x, y and z
+/// window   pixels of the image
+/// range    m above the ellipsoid
+/// returns  the map, with the residuals of the fit
+/// throws   Error
 Quadratic fit_localisation(const Rpc& rpc, const LocalFrame& frame, const Window& window,
                            const HeightRange& range);
-/// Projection: local (x, y, z) in m -> pixel; fitted over the ground that `window` sees in `range`.
+/// Projection: local (x, y, z) in m -> pixel, fitted over the ground that a window sees.
+/// rpc      camera of the image
+/// frame    of x, y and z
+/// window   pixels of the image
+/// range    m above the ellipsoid
+/// returns  the map, with the residuals of the fit
+/// throws   Error
 Quadratic fit_projection(const Rpc& rpc, const LocalFrame& frame, const Window& window,
                          const HeightRange& range);
 
-/// The local orientation and size of a pixel, from the 2 x 3 Jacobian d(pixel)/d(world) in px per
-/// m.
+/// The local orientation and size of a pixel.
 struct ViewGeometry {
   std::array<double, 4> quat;  ///< w x y z, camera-to-world rotation of the local affine camera
   double footprint;            ///< across-ray ground size of a pixel, m
-  std::array<double, 3>
-      direction;  ///< ground displacement along the ray per metre of height, z = 1
+  /// Ground displacement along the ray per metre of height, z = 1.
+  std::array<double, 3> direction;
 };
-/// throws Error for a mirrored image (the third axis would point up)
+/// From the camera's derivatives at one point.
+/// jacobian  d(pixel)/d(world), 2 x 3, px per m
+/// throws    Error for a mirrored image (the third axis would point up)
 ViewGeometry view_geometry(const std::array<std::array<double, 3>, 2>& jacobian);
 
 }  // namespace satsurf::rpc

@@ -13,20 +13,26 @@ struct UtmZone {
   int number = 31;
   bool north = true;
 
-  /// 32601..32660 or 32701..32760
+  /// 32601..32660 in the north, 32701..32760 in the south.
   int epsg() const { return (north ? 32600 : 32700) + number; }
   friend bool operator==(const UtmZone&, const UtmZone&) = default;
 };
 
 /// The zone of a position by its longitude (no exceptions for Norway and Svalbard).
 UtmZone utm_zone_of(double lon, double lat);
-/// Easting and northing, m, to better than 1e-6 m within the zone and its neighbours (Krueger
-/// series, order 6).
+/// Easting and northing, m, to better than 1e-6 m within the zone and its neighbours.
+/// zone      of the result, whether or not the position lies in it
+/// lon, lat  degrees on WGS84
+/// Source: Krueger 1912, series of order 6 (Karney 2011).
 std::array<double, 2> utm_from_geodetic(const UtmZone& zone, double lon, double lat);
-/// lon, lat in degrees.
+/// The inverse of `utm_from_geodetic`.
+/// zone               of the coordinates
+/// easting, northing  m
+/// returns            lon, lat in degrees
 std::array<double, 2> geodetic_from_utm(const UtmZone& zone, double easting, double northing);
-/// Earth-centred, earth-fixed coordinates, m.
+/// Earth-centred, earth-fixed coordinates of a position, m.
 std::array<double, 3> ecef_from_geodetic(const Geodetic& p);
+/// The inverse of `ecef_from_geodetic`: the position of earth-centred, earth-fixed coordinates, m.
 Geodetic geodetic_from_ecef(const std::array<double, 3>& p);
 
 /// The scene's metric frame: x = easting - origin, y = northing - origin, z = h - origin, one zone
@@ -35,7 +41,9 @@ struct LocalFrame {
   UtmZone zone;
   double easting0 = 0, northing0 = 0, h0 = 0;
 
+  /// x, y, z in m.
   std::array<double, 3> local_from_geodetic(const Geodetic& p) const;
+  /// The inverse of `local_from_geodetic`.
   Geodetic geodetic_from_local(const std::array<double, 3>& p_in_local) const;
   friend bool operator==(const LocalFrame&, const LocalFrame&) = default;
 };

@@ -103,7 +103,8 @@ inline std::optional<double> parse_number(std::string_view text) {
 /// Bands without the alpha band, counted from 1.
 std::vector<int> colour_bands(GDALDataset& d);
 
-/// What read_info() says, of an open file. throws IoError
+/// What read_info() says, of an open file.
+/// throws  IoError
 RasterInfo info_of(const std::filesystem::path& path, GDALDataset& d);
 
 }  // namespace satsurf::rpc

@@ -15,10 +15,11 @@ struct Pixel {
   double x = 0, y = 0;
 };
 
-/// Rational polynomial camera, RPC00B.
-///   samp = samp_scale (SN . m) / (SD . m) + samp_off, likewise line; m the 20 cubic monomials of
-///   the normalised latitude P, longitude L and height H (STDI-0002).
+/// Rational polynomial camera, RPC00B:
+///   samp = samp_scale (SN . m) / (SD . m) + samp_off,   likewise line
+/// with m the 20 cubic monomials of the normalised latitude P, longitude L and height H.
 /// A plain value: copying is cheap, nothing here does I/O.
+/// Source: STDI-0002, appendix E (RPC00B).
 struct Rpc {
   double line_off = 0, samp_off = 0, lat_off = 0, lon_off = 0, height_off = 0;
   double line_scale = 1, samp_scale = 1, lat_scale = 1, lon_scale = 1, height_scale = 1;
@@ -26,17 +27,20 @@ struct Rpc {
 
   /// Where a point falls in the image, px.
   Pixel project(const Geodetic& p) const;
-  /// [row x, y][lon, lat, h]: px per degree, px per degree, px per m.
+  /// Derivatives of `project`, [row x, y][lon, lat, h]: px per degree, px per degree, px per m.
   std::array<std::array<double, 3>, 2> jacobian(const Geodetic& p) const;
   /// The point at height h that projects to `pixel`: Newton, four fixed steps from the centre of
-  /// the RPC. throws Error naming pixel and height if the residual stays above 1e-3 px
+  /// the RPC.
+  /// pixel   px
+  /// h       m above the ellipsoid
+  /// throws  Error naming pixel and height if the residual stays above 1e-3 px
   Geodetic localize(const Pixel& pixel, double h) const;
   /// d(lon, lat)/dh along the viewing ray through `p`, degrees per m.
   std::array<double, 2> ray_slope(const Geodetic& p) const;
   /// The camera of the image that begins at pixel (x0, y0) of this one.
   Rpc cropped(double x0, double y0) const;
-  /// The camera of the image resized by `factor` (0.5 halves it), pixel centres at (x + 0.5) factor
-  /// - 0.5.
+  /// The camera of the image resized by `factor` (0.5 halves it):
+  /// pixel centres move to (x + 0.5) factor - 0.5.
   Rpc resized(double factor) const;
 
   friend bool operator==(const Rpc&, const Rpc&) = default;

@@ -42,8 +42,8 @@ std::vector<std::uint8_t> file_mask(const fs::path& path, GDALDataset& d,
 /// Lowest values and highest of the middle 98 percent of the valid pixels of three channels
 /// together.
 std::pair<float, float> stretch_of(const Image& image, const std::array<Index, 3>& channels) {
-  constexpr Index kSample =
-      1 << 22;  // values looked at: enough for a percentile, little for the memory
+  // values looked at: enough for a percentile, little for the memory
+  constexpr Index kSample = 1 << 22;
   const Index N = image.valid.count(), distinct = channels[0] == channels[2] ? 1 : 3;
   const Index stride = std::max<Index>(1, N * distinct / kSample);
   std::vector<float> values;

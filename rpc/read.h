@@ -50,41 +50,50 @@ struct PixelWindow {
 };
 
 /// Any raster GDAL opens. The camera may sit in the file (TIFF tag, NITF RPC00B) or beside it
-/// (NAME.RPB, NAME.XML, NAME_RPC.TXT, NAME.rpc; RPC_NAME.XML beside IMG_NAME). throws IoError
+/// (NAME.RPB, NAME.XML, NAME_RPC.TXT, NAME.rpc; RPC_NAME.XML beside IMG_NAME).
+/// throws  IoError
 RasterInfo read_info(const std::filesystem::path& path);
 
 /// Pixels of type uint8, uint16, int16 or float32 (others are converted by GDAL). An alpha band is
 /// taken into `valid` and is not among the channels.
-/// throws IoError for a file that is missing, no raster, damaged or without one valid pixel; for a
-/// window that leaves the image
+/// path    of the raster
+/// window  the part to read; all of it if left out
+/// throws  IoError for a file that is missing, no raster, damaged or without one valid pixel; for a
+///         window that leaves the image
 Image read_image(const std::filesystem::path& path, const std::optional<PixelWindow>& window = {});
 
 /// An image together with its camera: a raster, or a Sat-NeRF JSON whose camera then replaces the
-/// raster's. The JSON's image is looked for beside the JSON and in `image_dirs`.
-/// throws IoError without a camera, naming the file and where one was looked for
+/// raster's.
+/// path        of the raster or the JSON
+/// image_dirs  folders to look in for the JSON's image, after the JSON's own
+/// throws      IoError without a camera, naming the file and where one was looked for
 Image open_view(const std::filesystem::path& path,
                 const std::vector<std::filesystem::path>& image_dirs = {});
 
-/// The same without the pixels.
+/// As `open_view`, without the pixels.
 RasterInfo view_info(const std::filesystem::path& path,
                      const std::vector<std::filesystem::path>& image_dirs = {});
 
-/// Colours for the network, [3 H W] in [0, 1]; invalid pixels are 0.
+/// Colours for the network.
 ///   channels  one or two: the first, three times; three or more: `info.rgb_channels` (Pleiades and
 ///             SPOT deliver R G B N)
 ///   values    uint8: / 255; others: the 1st to the 99th percentile of the valid pixels of these
 ///             channels together are stretched to [0, 1] and clipped, so that hue is kept
+/// returns  [3 H W] in [0, 1]; invalid pixels are 0
+/// throws   ShapeError
 Tensor to_rgb(const Image& image);
 
-/// The camera in a GDAL metadata domain "RPC" (keys LINE_OFF ... SAMP_DEN_COEFF).
-/// `where` begins the error texts. throws IoError naming the key that is missing or no number
+/// The camera in a GDAL metadata domain "RPC".
+/// items   keys LINE_OFF ... SAMP_DEN_COEFF
+/// where   begins the error texts
+/// throws  IoError naming the key that is missing or no number
 Rpc rpc_from_gdal_metadata(const std::map<std::string, std::string>& items,
                            const std::string& where);
 
 /// A camera file without its image, the dialect told by its content: `_RPC.TXT` ("KEY: value unit";
 /// IKONOS, GeoEye, Planet, SkySat), `.RPB`, Maxar XML, DIMAP XML (its pixels count from 1; ours
-/// from 0), the 170 lines of WHU-TLC (whose inverse half is not used), Sat-NeRF JSON. throws
-/// IoError
+/// from 0), the 170 lines of WHU-TLC (whose inverse half is not used), Sat-NeRF JSON.
+/// throws  IoError
 Rpc read_rpc_file(const std::filesystem::path& path);
 
 /// The JSON file of one view that Sat-NeRF, EO-NeRF and EOGS read.
@@ -96,7 +105,9 @@ struct SatNerfJson {
   std::optional<double> sun_elevation_deg, sun_azimuth_deg;
   std::optional<std::string> acquisition_date;
 };
-/// Numbers may be strings ("+42.2"). throws IoError naming the file and the key
+
+/// Reads one; numbers may be strings ("+42.2").
+/// throws  IoError naming the file and the key
 SatNerfJson read_satnerf_json(const std::filesystem::path& path);
 
 }  // namespace satsurf::rpc

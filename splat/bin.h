@@ -21,6 +21,7 @@ struct TileSpan {
   Index x0, y0, x1, y1;
   Index count() const { return (x1 - x0) * (y1 - y0); }
 };
+/// The tiles a box meets; none for an empty box.
 inline TileSpan tiles_of(const Box& box) {
   if (box.x1 < box.x0) return {0, 0, 0, 0};
   const auto tile = [](std::int32_t pixel) {  // unsigned: a division by a power of two is a shift
@@ -42,14 +43,18 @@ struct TileLists {
 
 /// Indices of the surfels with a box, by descending height; equal heights keep their order. On a
 /// ray of an affine camera that looks down, the order of heights is the order along the ray, so one
-/// sort serves every tile. heights  of surfel i at heights[i * stride], finite where the box is not
-/// empty
+/// sort serves every tile.
+/// boxes    of all surfels
+/// heights  of surfel i at heights[i * stride], finite where the box is not empty
+/// stride   elements between two heights
 template <class T>
 std::vector<std::int32_t> front_to_back(const std::vector<Box>& boxes, const T* heights,
                                         Index stride);
 
-/// Distributes `order` over the tiles of a height x width image, keeping the order within each
-/// tile.
+/// Distributes surfels over the tiles of an image, keeping their order within each tile.
+/// boxes          of all surfels
+/// order          of those to be drawn, front to back
+/// height, width  of the image, px
 TileLists bin(const std::vector<Box>& boxes, const std::vector<std::int32_t>& order, Index height,
               Index width);
 

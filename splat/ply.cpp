@@ -20,8 +20,8 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little);  // numbers are copied as they lie
 
-constexpr double kDegreeZero =
-    0.28209479;                          // of the spherical harmonics, to the digits others write
+/// The constant spherical harmonic, to the digits others write.
+constexpr double kDegreeZero = 0.28209479;
 constexpr double kThickness = 1e-6;      // m; a flat disc for viewers that want three scales
 constexpr double kOpacityMargin = 1e-7;  // keeps the logit finite
 

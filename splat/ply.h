@@ -10,13 +10,19 @@
 namespace satsurf::splat {
 
 /// Writes surfels as a binary little-endian PLY with the property names of 3D Gaussian splatting
-/// viewers: x y z (m), nx ny nz, f_dc_0..2 = (colour - 0.5) / 0.28209479, opacity as a logit,
-/// scale_0..2 as natural logarithms of metres, rot_0..3 as a unit quaternion w x y z. Auxiliary
-/// channels are left out. A viewer that knows no discs draws them as very flat ellipsoids and sorts
-/// those differently. comments    become header comment lines (the frame: CRS and origin with 17
-/// digits) two_scales  leaves out scale_2, as programs for discs expect; else it is log(1e-6)
-/// Written to a temporary name and renamed. throws IoError (also for numbers that are not finite),
-/// ShapeError
+/// viewers:
+///   x y z         m
+///   nx ny nz      unit normal
+///   f_dc_0..2     (colour - 0.5) / 0.28209479
+///   opacity       logit
+///   scale_0..2    natural logarithms of metres; scale_2 is log(1e-6)
+///   rot_0..3      unit quaternion w x y z
+/// Auxiliary channels are left out. A viewer that knows no discs draws them as very flat ellipsoids
+/// and sorts those differently. Written to a temporary name and renamed.
+/// surfels     [P ...]
+/// comments    become header comment lines (the frame: CRS and origin with 17 digits)
+/// two_scales  leaves out scale_2, as programs for discs expect
+/// throws      IoError (also for numbers that are not finite), ShapeError
 void write_ply(const std::filesystem::path& path, const Surfels& surfels,
                const std::vector<std::string>& comments, bool two_scales = false);
 
@@ -27,7 +33,8 @@ struct PlyContent {
 };
 /// Reads a file that `write_ply` or a program for discs or Gaussians made. The float properties of
 /// its one vertex element may come in any order and there may be more of them; a third scale and
-/// the normals are not used. Header, size and every number are checked. throws IoError in one line
+/// the normals are not used. Header, size and every number are checked.
+/// throws  IoError in one line
 PlyContent read_ply(const std::filesystem::path& path);
 
 }  // namespace satsurf::splat

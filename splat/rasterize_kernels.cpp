@@ -24,8 +24,8 @@ template <class T>
 inline constexpr Index kBlockColumns = kTile / kBlockWidth<T>;
 template <class T>
 inline constexpr Index kBlocks = kTile * kTile / kLanes<T>;
-inline constexpr Index kPlane =
-    kTile * kTile;  // numbers of one plane of tile state, block after block
+/// Numbers of one plane of tile state, block after block.
+inline constexpr Index kPlane = kTile * kTile;
 
 /// Place of the tile's pixel (x, y) in a plane.
 template <class T>
@@ -117,8 +117,8 @@ struct Blend {
   }
 };
 
-inline constexpr Index kAhead =
-    16;  // a tile's surfels lie all over memory: fetch them this much earlier
+/// A tile's surfels lie all over memory: they are fetched this many earlier.
+inline constexpr Index kAhead = 16;
 
 /// Columns x0..x1 and rows y0..y1, both included, of the tile's blocks that a box meets.
 struct BlockSpan {
@@ -175,8 +175,8 @@ void transmittance_plane(const Scene<T>& scene, const TileJob& tile, T* plane) {
 
 // ---- forward ------------------------------------------------------------------------------------
 
-inline constexpr Index kChunk =
-    128;  // surfels copied next to each other: they stay in the first cache
+/// Surfels copied next to each other: they stay in the first-level cache.
+inline constexpr Index kChunk = 128;
 
 /// Planes of the forward state: the maps in their order, then these two, then the auxiliary maps.
 enum ForwardPlane : Index { kTransmittance = splat::kMaps, kMedian, kAuxPlane };

@@ -11,8 +11,8 @@ namespace satsurf::splat {
 enum RecordField : Index {
   kPixelX,  ///< centre, px
   kPixelY,
-  kInverse,  ///< 4 numbers, row-major: (pixel - centre) -> coordinates on the disc in standard
-             ///< deviations
+  /// 4 numbers, row-major: (pixel - centre) -> coordinates on the disc in standard deviations.
+  kInverse,
   kLogOpacity = kInverse + 4,
   kHeight,  ///< of the centre, m
   kSlope,   ///< 2 numbers: height gained per standard deviation along t_u and t_v, m
@@ -28,8 +28,8 @@ enum Map : Index { kMapColour, kMapHeight = 3, kMapAlpha, kMapNormal, kMaps = kM
 enum SlotField : Index {
   kSlotRho,    ///< sum of d/d(rho), for the opacity
   kSlotPixel,  ///< 2 numbers: d/d(centre), px
-  kSlotMoment =
-      kSlotPixel + 2,  ///< uu, uv, vv of sum d/d(rho) xi xi^T where the disc itself is seen
+  /// uu, uv, vv of sum d/d(rho) xi xi^T where the disc itself is seen.
+  kSlotMoment = kSlotPixel + 2,
   kSlotHeight = kSlotMoment + 3,
   kSlotSlope,  ///< 2 numbers: sum d/d(height) xi
   kSlotColour = kSlotSlope + 2,

@@ -87,8 +87,8 @@ TEST_CASE("footprint, angles and parallax of a camera made by hand") {
   const ViewAngles down = view_angles(level, 60, 40, 20);
   CHECK(down.gsd == doctest::Approx(0.5).epsilon(0.01));
   CHECK(down.off_nadir_deg < 1e-6);
-  // line grows by 0.8 px per m: higher points move down in the image, away from a satellite in the
-  // ... north
+  // line grows by 0.8 px per m: higher points move down in the image, away from a satellite in
+  // the north
   const ViewAngles slanted = view_angles(tilted, 60, 40, 20);
   CHECK(slanted.off_nadir_deg == doctest::Approx(std::atan(0.8 * 0.5) * 180 / M_PI).epsilon(0.01));
   CHECK(std::min(slanted.azimuth_deg, 360 - slanted.azimuth_deg) ==

@@ -38,8 +38,8 @@ void print_scores(const char* title, const HeightScores& s) {
 
 /// A median far larger than the spread is seldom an error of the surface.
 void warn_of_datum(const HeightScores& s) {
-  constexpr double kSuspicious =
-      8;  // m; geoid heights are up to 107 m, biases of a reconstruction a few
+  // geoid heights are up to 107 m, biases of a reconstruction a few
+  constexpr double kSuspicious = 8;
   if (std::abs(s.median) > kSuspicious && s.nmad < std::abs(s.median) / 3)
     std::fprintf(
         stderr,

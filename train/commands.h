@@ -19,13 +19,16 @@ namespace satsurf::train {
 
 /// Thrown out of a command that was told to stop, e.g. by Ctrl-C.
 struct Interrupted {};
+
 /// From now on the first SIGINT, SIGTERM or SIGHUP is noted and the second of its kind kills; a
 /// SIGHUP that nohup has the program ignore stays ignored.
 void catch_interrupts();
+/// Whether one has come since.
 bool interrupted();
 /// The signal noted, 0 for none.
 int interrupt_signal();
 
+/// What `info` is asked.
 struct InfoOptions {
   std::vector<std::filesystem::path> images, image_dirs;
 };
@@ -33,22 +36,27 @@ struct InfoOptions {
 /// parallax of pairs; network and origin of weights (.safetensors).
 void run_info(const InfoOptions& options);
 
+/// What `simulate` is asked.
 struct SimulateOptions {
   std::filesystem::path out, config_file;  ///< config_file may be empty
   SimulateConfig config;
   bool overwrite = false, quiet = false;
 };
+/// Makes up scenes and writes them in the layout of DFC2019.
 void run_simulate(const SimulateOptions& options);
 
+/// What `train` is asked.
 struct TrainOptions {
   std::filesystem::path data, out, config_file;  ///< config_file may be empty
   TrainConfig config;
   std::uint64_t seed = 0;
   bool overwrite = false, resume = false, quiet = false;
 };
-/// throws Interrupted after saving a checkpoint
+/// Trains a network on a data set.
+/// throws  Interrupted after saving a checkpoint
 void run_train(const TrainOptions& options);
 
+/// What `reconstruct` is asked.
 struct ReconstructCommand {
   std::vector<std::filesystem::path> images, image_dirs;
   std::filesystem::path out, weights;  ///< weights may be empty: the shipped ones
@@ -56,40 +64,49 @@ struct ReconstructCommand {
   double resolution = 0;  ///< m, 0 for the images' own
   bool overwrite = false, quiet = false;
 };
+/// Makes a surface of images: the folder that the README describes.
 void run_reconstruct(const ReconstructCommand& options);
 
+/// What `evaluate --dsm` is asked.
 struct EvaluateDsmOptions {
   std::filesystem::path dsm, truth, classes, json, picture;  ///< the last three may be empty
-  std::vector<std::filesystem::path> seen_by,
-      image_dirs;  ///< images that limit the score to what two of them see
+  /// Images: only what two of them see is scored; and where else to look for those JSON files name.
+  std::vector<std::filesystem::path> seen_by, image_dirs;
   std::string registration = "none";
   bool mask_water = false, overwrite = false;
 };
+/// Scores one surface against the truth.
 void run_evaluate_dsm(const EvaluateDsmOptions& options);
 
+/// What `evaluate --data` is asked.
 struct EvaluateDataOptions {
   std::filesystem::path data, weights, json, csv;  ///< the last three may be empty
   std::string registration = "none";
   Index views = 3;
   bool mask_water = true, overwrite = false, quiet = false;
 };
+/// Scores a network on a data set.
 void run_evaluate_data(const EvaluateDataOptions& options);
 
+/// What `render` is asked.
 struct RenderCommand {
   std::filesystem::path surfels, image, out;  ///< without an image: from straight above
   std::vector<std::filesystem::path> image_dirs;
   double resolution = 0;  ///< of the view from above, m; 0: half a metre
   bool overwrite = false;
 };
+/// Renders a surfel file into a camera or from above.
 void run_render(const RenderCommand& options);
 
 /// The file asked for; else the one SATSURF_WEIGHTS names; else the one shipped with the program.
-/// throws IoError naming the places looked in
+/// throws  IoError naming the places looked in
 std::filesystem::path find_weights(const std::filesystem::path& asked);
 
 /// The frame of a surfel file, as comment lines of its header.
 std::vector<std::string> frame_comments(const rpc::LocalFrame& frame);
-/// throws IoError if the lines do not name one
+/// The inverse of `frame_comments`.
+/// where   begins the error text
+/// throws  IoError if the lines do not name a frame
 rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
                                     const std::string& where);
 

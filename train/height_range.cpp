@@ -17,8 +17,8 @@ constexpr Index kRadius = 3;         // px, half a correlation window
 constexpr double kAgreement = 0.75;  // correlation from which a match counts
 constexpr double kUnique = 0.1;      // by which the best height must beat every other peak
 constexpr Index kPatch = (2 * kRadius + 1) * (2 * kRadius + 1);  // px, the least that is believed
-constexpr double kMargin =
-    15;  // m, added to the percentiles: roofs and gullies smaller than a coarse window
+/// Added to the percentiles, m: roofs and gullies smaller than a coarse window.
+constexpr double kMargin = 15;
 constexpr Index kFewest = 100;  // matches that make a range believable
 
 /// Luminance at coarse resolution.
@@ -86,8 +86,8 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
   n = box_sum(n), sa = box_sum(sa), sb = box_sum(sb), saa = box_sum(saa), sbb = box_sum(sbb),
   sab = box_sum(sab);
   Tensor out({H, W}, -1.f);
-  constexpr float kArea = (2 * kRadius + 1) * (2 * kRadius + 1),
-                  kTexture = 1e-5f;  // variance of a flat window
+  // kTexture: variance of a flat window
+  constexpr float kArea = (2 * kRadius + 1) * (2 * kRadius + 1), kTexture = 1e-5f;
   for (Index i = 0; i < H * W; ++i) {
     if (n[i] < 0.9f * kArea) continue;
     const float ma = sa[i] / n[i], mb = sb[i] / n[i], va = saa[i] / n[i] - ma * ma,
@@ -196,15 +196,15 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
         maps.back().jacobian(window.width / 2 / f, window.height / 2 / f, 0.5 * (z_low + z_high));
     parallax = std::max(parallax, std::hypot(jac[0][2], jac[1][2]));
   }
-  constexpr double kStepPx =
-      0.75;  // disparity between tried heights; correlation survives half of it
+  // disparity between tried heights; correlation survives half of it
+  constexpr double kStepPx = 0.75;
   const double span = z_high - z_low;
   const Index steps = std::clamp<Index>(static_cast<Index>(span * parallax / kStepPx) + 1, 8, 2000);
 
   const Index P = coarse[0].grey.count();
   Tensor best({P}, -1.f), rival({P}, -1.f), where({P}, 0.f);
-  const double peak =
-      3 * span / static_cast<double>(steps);  // heights this close belong to one peak
+  // heights this close belong to one peak
+  const double peak = 3 * span / static_cast<double>(steps);
   // Pieces of rows would need the box sums' neighbours: parallel over heights instead, merged in
   // order.
   constexpr Index kBatch = 16;

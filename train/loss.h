@@ -16,9 +16,13 @@ struct LossReport {
   double colour_psnr = 0;  ///< of the target rendered from the last stage, dB; NaN without a target
 };
 
+/// The training objective:
 ///   L = sum_s w_s ( a smoothL1(H_s, H*) + b MSE(I_s, I*) + c smoothL1(H^_s, H*_target) )
 /// with the true heights of the sources, and colour and height rendered in the target view; the
 /// target's terms count only where the rendered surface is opaque (alpha > 0.5).
+/// config  weights
+/// stages  what the network made of the crop
+/// crop    with its target and the truth
 LossReport training_loss(const TrainConfig& config,
                          const std::array<nn::StageOutput<float>, 3>& stages, const Crop& crop);
 

@@ -8,9 +8,11 @@
 
 namespace satsurf::train {
 
-/// Peak signal-to-noise ratio, dB: values clipped to [0, 1], -10 log10 of the mean squared
-/// difference over all channels and the pixels whose mask is not zero. Infinite for equal images,
-/// NaN where nothing is compared. image, reference [C H W];  mask [H W] or empty for all pixels
+/// Peak signal-to-noise ratio: values clipped to [0, 1], -10 log10 of the mean squared difference
+/// over all channels and the pixels that count.
+/// image, reference  [C H W]
+/// mask              [H W], zero where a pixel does not count; empty for all
+/// returns           dB; infinite for equal images, NaN where nothing is compared
 double psnr(const Tensor& image, const Tensor& reference, const Tensor& mask = {});
 
 /// How far predicted heights are from true ones. "Compared" cells have both; "truth" cells have a
@@ -27,8 +29,8 @@ struct HeightScores {
 };
 
 /// Scores without any registration. Means over nothing are NaN.
-/// prediction, truth [H W] m, NaN where unknown;  mask [H W], zero where a cell does not count, or
-/// empty
+/// prediction, truth  [H W] m, NaN where unknown
+/// mask               [H W], zero where a cell does not count; empty for all
 HeightScores score_heights(const Tensor& prediction, const Tensor& truth, const Tensor& mask = {});
 
 /// The field at the cell centres of another grid: bilinear where all four neighbours are known,
@@ -38,7 +40,8 @@ Tensor resample(const HeightField& field, const HeightField& grid);
 /// What may be taken out of a prediction before it is scored: nothing, one height offset, or also a
 /// horizontal shift.
 enum class Registration { none, z, xyz };
-/// throws ConfigError naming the choices
+/// From its name.
+/// throws  ConfigError naming the choices
 Registration registration_from(const std::string& text);
 
 /// A DSM against the truth, on the truth's grid.
@@ -53,11 +56,12 @@ struct DsmComparison {
 /// after.
 ///   z    the median difference
 ///   xyz  first a horizontal shift by whole truth cells that maximises the normalised correlation
-///   of the heights,
-///        searched coarse to fine (halved until a side is below 100 cells, 5 cells around the best
-///        of the level above), then the median difference
-/// Both fields are in one local frame. mask [H W] on the truth's grid or empty.
-/// throws Error if prediction and truth have no cell in common
+///        of the heights, searched coarse to fine (halved until a side is below 100 cells, 5 cells
+///        around the best of the level above), then the median difference
+/// prediction, truth  in one local frame
+/// registration       what is taken out
+/// mask               [H W] on the truth's grid, zero where a cell does not count; empty for all
+/// throws             Error if prediction and truth have no cell in common
 DsmComparison compare_dsm(const HeightField& prediction, const HeightField& truth,
                           Registration registration, const Tensor& mask = {});
 

@@ -12,16 +12,18 @@ namespace satsurf::train {
 /// nor those made around it. A folder in place is one to go on in: whatever is there stays.
 class OutputFolder {
  public:
+  /// A folder that appears with `commit()`.
   /// overwrite  replace, by commit() and not before, what an earlier run of this program left
   ///            there: a folder that holds its run.json
   /// inputs     files and folders the run reads; none may lie in the folder or be the folder. Empty
   ///            names are passed over
-  /// throws IoError: `out: DIR exists and is not empty; use --overwrite`; also if DIR is a file,
-  /// holds an input, or if overwriting would remove something else than a run, the working folder,
-  /// the home folder or one above them
+  /// throws     IoError `out: DIR exists and is not empty; use --overwrite`; also if DIR is a file,
+  ///            holds an input, or if overwriting would remove something else than a run, the
+  ///            working folder, the home folder or one above them
   static OutputFolder staged(const std::filesystem::path& folder, bool overwrite,
                              std::vector<std::filesystem::path> inputs = {});
-  /// The folder itself, as it is. throws IoError if it is a file
+  /// The folder itself, as it is.
+  /// throws  IoError if it is a file
   static OutputFolder in_place(const std::filesystem::path& folder);
 
   OutputFolder(OutputFolder&& other) noexcept;
@@ -34,7 +36,8 @@ class OutputFolder {
   /// Whether the files are where they were asked for.
   bool in_its_place() const { return !pending_; }
   /// Puts a staged folder in its place, which is looked at once more; nothing to do for one in
-  /// place. throws IoError
+  /// place.
+  /// throws  IoError
   void commit();
 
  private:

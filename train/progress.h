@@ -30,8 +30,10 @@ class Progress {
   Clock::time_point stage_start_, last_;
 };
 
-/// The bar itself: `stage  [####....]  42 %  detail  0:12 left`, at most `columns` wide. No time is
-/// given before `seconds` have something to say (fraction 0).
+/// The bar itself: `stage  [####....]  42 %  detail  0:12 left`.
+/// fraction  in [0, 1]; at 0 no time is given
+/// seconds   since the stage began
+/// columns   the line's width at most
 std::string progress_line(const std::string& stage, double fraction, const std::string& detail,
                           double seconds, int columns);
 

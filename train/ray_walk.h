@@ -30,7 +30,7 @@ class ColumnField {
   /// No cell is known.
   bool empty() const { return !(low_ <= high_); }
 
-  /// Walks from (x, y) at `high()` to (x, y) at `low()`, both in m in the local frame.
+  /// Walks from (x_high, y_high) at `high()` to (x_low, y_low) at `low()`, m in the local frame.
   Hit walk(double x_high, double y_high, double x_low, double y_low) const;
 
  private:

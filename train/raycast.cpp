@@ -104,8 +104,8 @@ ColumnField::Hit ColumnField::walk(double x_high, double y_high, double x_low, d
         high_ - s_block * drop >
             static_cast<double>(block_high_[static_cast<std::size_t>(br * block_cols_ + bc)])) {
       s = s_block;
-      const bool by_u =
-          s_u <= s_v;  // the crossed axis is stepped exactly, the other one is read off
+      // the crossed axis is stepped exactly, the other one is read off
+      const bool by_u = s_u <= s_v;
       front_c = cell_of(u.at(s), bc * kBlock, kBlock);
       front_r = cell_of(v.at(s), br * kBlock, kBlock);
       c = by_u ? (u.sign > 0 ? (bc + 1) * kBlock : bc * kBlock - 1) : front_c;

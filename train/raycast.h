@@ -15,8 +15,10 @@ struct HeightField {
 
 /// First intersection of every pixel's ray with the surface, from above. Cells are square columns
 /// with vertical walls (what a DSM says); a ray that reaches an unknown cell or leaves the grid
-/// before it hits yields NaN. local_from_pixel  localisation (x, y, z) -> local (x, y) returns
-/// [height width] z of the hit, m
+/// before it hits yields NaN.
+/// local_from_pixel  localisation (x, y, z) -> local (x, y)
+/// height, width     of the image, px
+/// returns           [height width] z of the hit, m
 Tensor heights_in_view(const HeightField& field, const Quadratic& local_from_pixel, Index height,
                        Index width);
 

@@ -45,8 +45,8 @@ Ground common_ground(const Scene& scene, double z) {
         all = {std::min(all.x0, p[0]), std::min(all.y0, p[1]), std::max(all.x1, p[0]),
                std::max(all.y1, p[1])};
       }
-  constexpr Index kGrid =
-      128;  // fine enough to place tiles; the exact rim comes from the surfels themselves
+  // fine enough to place tiles; the exact rim comes from the surfels themselves
+  constexpr Index kGrid = 128;
   Ground common{INFINITY, INFINITY, -INFINITY, -INFINITY};
   const double dx = all.width() / kGrid, dy = all.height() / kGrid;
   for (Index i = 0; i < kGrid; ++i)

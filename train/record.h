@@ -16,11 +16,13 @@ namespace satsurf::train {
 class RunRecord {
  public:
   /// Starts the clock.
-  /// config  the effective configuration, defaults included
+  /// command  name of the sub-command
+  /// config   the effective configuration, defaults included
+  /// seed     of the run
   RunRecord(std::string command, nlohmann::json config, std::uint64_t seed);
 
   /// Notes size and SHA-256 of a file, or of every file below a folder; of each file once.
-  /// throws IoError
+  /// throws  IoError
   void add_input(const std::filesystem::path& path);
   /// Whatever the command has to say about its outcome.
   nlohmann::json& results() { return results_; }
@@ -28,7 +30,8 @@ class RunRecord {
   /// program, version, git, command, config, seed, host, isa, threads, started (UTC), wall_seconds,
   /// peak_memory_bytes, peak_tensor_bytes, inputs [{path, bytes, sha256}], results.
   nlohmann::ordered_json json() const;
-  /// Writes `json()`, whole or not at all. throws IoError
+  /// Writes `json()`, whole or not at all.
+  /// throws  IoError
   void save(const std::filesystem::path& path) const;
 
  private:
@@ -46,8 +49,8 @@ class RunRecord {
   std::chrono::steady_clock::time_point clock_;
 };
 
-/// The configuration in a JSON file: the file itself, or the `config` of a run record. throws
-/// IoError
+/// The configuration in a JSON file: the file itself, or the `config` of a run record.
+/// throws  IoError
 nlohmann::json load_config(const std::filesystem::path& path);
 
 /// Whether a folder is what simulate, train or reconstruct left: it holds their run.json.

@@ -24,11 +24,11 @@ struct TrainConfig {
   double lr = 1e-3;
   double warmup = 0.03;  ///< share of the steps
   double weight_decay = 0.01;
-  double clip = 0.5;  ///< global gradient norm
-  std::array<double, 3> stage_weight{0.5, 1, 2};
-  double height_weight = 1;           ///< smooth-L1 of the stage heights, per metre
-  double height_beta = 1;             ///< its transition, m
-  double colour_weight = 1;           ///< MSE of the rendered target
+  double clip = 0.5;                              ///< global gradient norm
+  std::array<double, 3> stage_weight{0.5, 1, 2};  ///< of the stages' losses, coarse to fine
+  double height_weight = 1;                       ///< smooth-L1 of the stage heights, per metre
+  double height_beta = 1;                         ///< its transition, m
+  double colour_weight = 1;                       ///< MSE of the rendered target
   double render_height_weight = 0.1;  ///< smooth-L1 of the height rendered in the target
   double range_jitter = 0.2;          ///< random widening of the height range, share of its span
   double grey_share = 0.4;            ///< share of the samples made panchromatic
@@ -70,7 +70,8 @@ struct TrainConfig {
 
 /// One line of `train.jsonl`.
 struct StepReport {
-  Index step = 0, steps = 0;
+  Index step = 0, steps = 0;  ///< this one, from 1, and how many there will be
+  /// The objective and its numbers (see LossReport), learning rate, norm before clipping, time.
   double loss = 0, height_mae = 0, colour_psnr = 0, lr = 0, grad_norm = 0, seconds = 0;
 };
 
@@ -78,23 +79,33 @@ struct StepReport {
 using StepCallback = std::function<bool(const StepReport&)>;
 
 /// Trains on the scenes of a folder and writes `checkpoint.safetensors` (all that resuming needs),
-/// `weights.safetensors` (the model alone) and `train.jsonl` into `out`. A staged `out` is
-/// committed with the first checkpoint, after one step: what fails before costs no earlier run.
-/// With `resume`, continues from `out/checkpoint.safetensors` bit for bit as if never interrupted.
-/// throws IoError, ConfigError
+/// `weights.safetensors` (the model alone) and `train.jsonl`.
+/// config    all settings
+/// data      data set, see `list_scenes`
+/// out       folder of the files; a staged one is committed with the first checkpoint, after one
+///           step: what fails before costs no earlier run
+/// seed      of the initial weights and the samples
+/// resume    go on from `out/checkpoint.safetensors`, bit for bit as if never interrupted
+/// callback  may be empty
+/// throws    IoError, ConfigError
 void train(const TrainConfig& config, const std::filesystem::path& data, OutputFolder out,
            std::uint64_t seed, bool resume, const StepCallback& callback);
 
-/// A model from a weights or checkpoint file, which carries its configuration. throws IoError
+/// A model from a weights or checkpoint file, which carries its configuration.
+/// throws  IoError
 nn::Model load_model(const std::filesystem::path& path);
+/// Writes the model alone, whole or not at all.
 /// origin  further metadata: where the weights come from. `train` writes `train` (the configuration
 ///         of the run), `seed`, `step` (those done), `scenes` (trained on), `version` and `git`
+/// throws  IoError
 void save_model(const std::filesystem::path& path, const nn::Model& model,
                 const std::map<std::string, std::string>& origin = {});
 
-/// The same inside a file that holds more: tensors `model.*`, metadata `format` and `model` (its
+/// Adds a model to a file that holds more: tensors `model.*`, metadata `format` and `model` (its
 /// configuration).
 void store_model(TensorFile& file, const nn::Model& model);
+/// The model in a file that `store_model` filled; `where` begins the error texts.
+/// throws  IoError
 nn::Model model_from(const TensorFile& file, const std::string& where);
 
 /// Sample number `step` of a run: a pure function of scenes, configuration, seed and step.

@@ -16,12 +16,19 @@ namespace satsurf::train {
 /// A convex polygon on the ground, m, counter-clockwise.
 using Polygon = std::vector<std::array<double, 2>>;
 
+/// m2.
 double polygon_area(const Polygon& polygon);
+/// throws  Error for a polygon without area
 std::array<double, 2> polygon_centroid(const Polygon& polygon);
-/// The part of `a` inside `b`; empty if they do not meet. Source: Sutherland & Hodgman 1974.
+/// The part of `a` inside `b`; empty if they do not meet.
+/// Source: Sutherland and Hodgman 1974.
 Polygon intersect(const Polygon& a, const Polygon& b);
 
-/// The four corners of an image on the ground at height h, in one zone. throws Error
+/// The four corners of an image on the ground.
+/// width, height  of the image, px
+/// zone           of the result
+/// h              m above the ellipsoid
+/// throws         Error
 Polygon footprint(const rpc::Rpc& rpc, Index width, Index height, const rpc::UtmZone& zone,
                   double h);
 
@@ -31,6 +38,8 @@ struct ViewAngles {
   double off_nadir_deg = 0;  ///< between the ray and the vertical at the ground
   double azimuth_deg = 0;    ///< from the ground towards the satellite, clockwise from north
 };
+/// Those of an image of width x height px at h m above the ellipsoid.
+/// throws  Error
 ViewAngles view_angles(const rpc::Rpc& rpc, Index width, Index height, double h);
 
 /// Pixels by which a ground point moves in `b` against `a` per metre of height, at (lon, lat, h).
@@ -42,15 +51,19 @@ struct RangeChoice {
   std::string source;      ///< in words: where it came from
 };
 
-/// A scene of a user's own images: opens every view, checks that each pair sees common ground, and
-/// chooses the frame (UTM zone and rounded centre of the common ground, height origin in the middle
-/// of the height range). The range is the one wanted, else the one the images' metadata name, else
-/// it is searched for with `find_height_range`. throws IoError, Error naming the files
+/// A scene of a user's own images.
 struct UserScene {
   Scene scene;
   RangeChoice range;
   double common_area = 0;  ///< ground that all views see, m2
 };
+/// Opens every view, checks that each pair sees common ground, and chooses the frame (UTM zone and
+/// rounded centre of the common ground, height origin in the middle of the height range).
+/// files       two or more images or Sat-NeRF JSON files
+/// image_dirs  where else to look for the images that JSON files name
+/// wanted      height range; else the one the images' metadata name, else it is searched for with
+///             `find_height_range`
+/// throws      IoError, Error naming the files
 UserScene scene_from_views(const std::vector<std::filesystem::path>& files,
                            const std::vector<std::filesystem::path>& image_dirs,
                            const std::optional<rpc::HeightRange>& wanted);

@@ -161,8 +161,8 @@ void add_courtyard(Layout& layout, Rng& r, const Part& outline, float storeys) {
 void add_building(Layout& layout, Rng& r, float u0, float u1, float v0, float v1, float height) {
   const float du = u1 - u0, dv = v1 - v0;
   if (std::min(du, dv) < 4) return;
-  const auto cap =
-      static_cast<float>(layout.plan.tallest) - 4.5f;  // room for parapet and roof clutter
+  // room for parapet and roof clutter
+  const auto cap = static_cast<float>(layout.plan.tallest) - 4.5f;
   Part p = part_at(layout, 0.5f * (u0 + u1), 0.5f * (v0 + v1), 0.5f * du, 0.5f * dv);
   float low = 0, mean = 0;
   if (!ground_under(layout, p, low, mean)) return;

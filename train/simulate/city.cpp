@@ -180,8 +180,8 @@ class Painter {
       }
       case Ground::parking: {
         Colour c = b.colour;
-        const float row =
-            across - 3 - 16 * std::floor((across - 3) / 16);  // two stalls of 5.2 m and an aisle
+        // two stalls of 5.2 m and an aisle
+        const float row = across - 3 - 16 * std::floor((across - 3) / 16);
         if (across > 3 && across - row + 13.5f < width && row < 10.6f && along > 3 &&
             along < length - 3) {
           const float stall = (along - 3) / b.row_period;

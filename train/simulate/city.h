@@ -13,6 +13,7 @@ namespace satsurf::train::simulate {
 
 using Colour = std::array<float, 3>;  ///< reflectance of red, green, blue
 
+/// What a column is made of.
 enum class Material : std::uint8_t {
   asphalt,
   concrete,
@@ -26,7 +27,9 @@ enum class Material : std::uint8_t {
   car
 };
 
+/// The form of a roof.
 enum class Roof : std::uint8_t { flat, gable, hip, shed, barrel, sawtooth };
+/// What a roof looks like from above.
 enum class RoofPattern : std::uint8_t { plain, gravel, seams, tiles, sheets, panels };
 
 /// An upright solid with a rectangular or elliptic plan. Buildings are made of one or several of
@@ -47,15 +50,17 @@ struct Part {
   std::uint32_t seed = 0;
 };
 
+/// A tree, or a boulder.
 struct Tree {
-  float x, y, radius, height, base;
+  float x, y, radius, height, base;  ///< m; x and y from the centre of the field, base local
   Colour colour;
   std::uint32_t seed;                  ///< odd: a cone, else a dome
   Material material = Material::tree;  ///< or rock: a boulder
 };
 
+/// A car on the ground.
 struct Car {
-  float x, y, cos, sin, length;
+  float x, y, cos, sin, length;  ///< m from the centre of the field; direction
   Colour colour;
 };
 
@@ -84,8 +89,8 @@ struct City {
   HeightField field;
   std::vector<SurfaceCell> cells;  ///< row by row as the field
   std::vector<Part> parts;
-  std::vector<Car>
-      visitors;  ///< cars that may be there on one date and not on another; not in the field
+  /// Cars that may be there on one date and not on another; not in the field.
+  std::vector<Car> visitors;
   double centre_x = 0, centre_y = 0;
 
   const SurfaceCell& cell(Index row, Index col) const {
@@ -93,10 +98,11 @@ struct City {
   }
 };
 
-/// A pure function of its arguments.
+/// Makes up a scene: a pure function of its arguments.
 City make_city(const CityPlan& plan, const Rng& rng);
 
-/// Classes of the DFC2019 truth for every cell: 2 ground, 5 trees, 6 building, 9 water.  [H W]
+/// Classes of the DFC2019 truth for every cell: 2 ground, 5 trees, 6 building, 9 water.
+/// returns  [H W]
 Tensor classes_of(const City& city);
 
 }  // namespace satsurf::train::simulate

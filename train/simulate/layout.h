@@ -7,6 +7,7 @@
 
 namespace satsurf::train::simulate {
 
+/// What covers a block.
 enum class Ground : std::uint8_t { paved, parking, lawn, bare, crop, wild };
 
 /// What lies between four streets; extents along the streets' axes, from kerb to kerb, m.
@@ -60,7 +61,10 @@ void furnish(Layout& layout, const Rng& rng);
 void add_building(Layout& layout, Rng& rng, float u0, float u1, float v0, float v1, float height);
 /// Adds a house with a pitched roof around (u, v).
 void add_house(Layout& layout, Rng& rng, float u, float v);
-/// Adds trees in clumps over the open ground, `density` in [0, 1], crowns up to `radius` m.
+/// Adds trees in clumps over the open ground.
+/// density  in [0, 1]
+/// spacing  of the places where a tree may stand, m
+/// radius   of the largest crowns, m
 void add_groves(Layout& layout, const Rng& rng, float density, float spacing, float radius);
 
 }  // namespace satsurf::train::simulate

@@ -27,6 +27,7 @@ inline float bell(std::uint32_t h) {
   return (static_cast<float>(sum) - 510.0f) * (1.0f / 147.8f);
 }
 
+/// Octaves of noise, from coarse to fine.
 struct Fractal {
   double period = 64;  ///< of the first octave, m; each further one has half of it
   int octaves = 4;
@@ -34,8 +35,9 @@ struct Fractal {
   std::uint32_t seed = 0;
 };
 
-/// Fractal value noise on an H x W grid of the given step, m: mean 0, roughly within [-1, 1].
-/// Periods below two steps are left out.
+/// Fractal value noise: mean 0, roughly within [-1, 1]. Periods below two steps are left out.
+/// step     of the grid, m
+/// returns  [H W]
 Tensor fractal_noise(Index H, Index W, double step, const Fractal& fractal);
 
 /// Mean over a square of (2 radius + 1)^2 cells, cut off at the edges.

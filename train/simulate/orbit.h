@@ -34,8 +34,8 @@ class PushBroom {
  private:
   using Vec = std::array<double, 3>;
   struct Frame {
-    Vec position, right, forward,
-        ahead;  // detector direction, normal of the detector plane, line of sight
+    // `right` along the detector, `forward` normal to the detector plane, `ahead` line of sight
+    Vec position, right, forward, ahead;
   };
   Frame at(double t) const;
 
@@ -51,19 +51,21 @@ struct RpcFit {
 };
 
 /// Fits all 78 free coefficients: linear least squares, weighted with the denominators of the
-/// solution before, on ground reaching `margin_px` beyond the image and heights [low, high], damped
-/// because so small a part of the Earth does not determine them all.
+/// solution before, damped because so small a part of the Earth does not determine them all.
+/// low, high  heights above the ellipsoid, m
+/// margin_px  how far beyond the image the ground reaches that is fitted
 RpcFit fit_rpc(const PushBroom& camera, double low, double high, double margin_px = 8000);
 
 /// Position of the sun, degrees, azimuth clockwise from north.
 struct Sun {
   double elevation_deg = 45, azimuth_deg = 150;
 };
-/// To about a degree, which is enough for shadows. day_of_year from 1, solar_hour in local solar
-/// time.
+/// Where the sun stands, to about a degree, which is enough for shadows.
+/// day_of_year  from 1
+/// solar_hour   local solar time
 Sun sun_at(double lat_deg, int day_of_year, double solar_hour);
 
-/// YYYYMMDDHHMMSS, UTC.
+/// YYYYMMDDHHMMSS, UTC, of a local solar time.
 std::string date_string(int year, int day_of_year, double solar_hour, double lon_deg);
 
 /// Which way each view looks and when.
@@ -73,15 +75,17 @@ struct ViewPlan {
   double solar_hour;
   int date;  ///< views of one pass share it
 };
+/// What the views of one scene have to obey.
 struct ViewRules {
   int views = 5;
   double least_off_nadir_deg = 5, most_off_nadir_deg = 32;
   double gsd_m = 0.5;
-  double least_parallax = 0.3,
-         most_parallax = 2.0;  ///< pixel shift between any two views per m of height
+  /// Pixel shift between any two views per m of height.
+  double least_parallax = 0.3, most_parallax = 2.0;
   double lat_deg = 0;
   bool same_pass = false;  ///< all views from one orbit within minutes, else each on its own date
 };
+/// Draws the views of one scene.
 std::vector<ViewPlan> plan_views(const ViewRules& rules, Rng& rng);
 
 }  // namespace satsurf::train::simulate

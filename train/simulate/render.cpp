@@ -38,8 +38,8 @@ Tensor cast_shadows(const HeightField& field, const std::array<float, 3>& to_sun
         static_cast<Index>(std::floor(static_cast<double>(k) * slope + 0.5));
   }
   const Index spread = std::abs(shift.back()), lines = width + spread;
-  const Index first =
-      slope > 0 ? -spread : 0;  // line L passes minor coordinate L + first + shift[k]
+  // line L passes minor coordinate L + first + shift[k]
+  const Index first = slope > 0 ? -spread : 0;
   const Index major_stride = by_rows ? M : 1, minor_stride = by_rows ? 1 : M;
   for_range(lines, 64, [&](Index begin, Index end) {
     std::vector<float> edge(static_cast<std::size_t>(end - begin), kNoShade);

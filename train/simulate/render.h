@@ -29,14 +29,18 @@ struct LitCity {
   Daylight light;
   std::array<float, 3> to_sun;  ///< unit vector, local
   Tensor shade;  ///< [H W] height of the shadow above every cell, m; -1e9 where there is none
-  std::vector<std::uint8_t>
-      visitors;  ///< per cell: 0, or 1 + colour of a car standing there, 255 in its shadow
+  /// Per cell: 0, or 1 + colour of a car standing there, 255 in its shadow.
+  std::vector<std::uint8_t> visitors;
 };
+/// Casts the shadows of one date.
 LitCity light_city(const City& city, const Daylight& light);
 
 /// Radiance of every pixel: 2 x 2 samples, each the surface its ray meets.
 ///   L = albedo (sun max(0, n.l) lit + sky visible)
+/// columns           the city's field
+/// lit               the same city on the view's date
 /// local_from_pixel  localisation (x, y, z) -> local (x, y)
+/// height, width     of the image, px
 /// waves             seed of the ripples on the water, which no two views share
 /// returns           [3 height width], linear
 Tensor render_view(const City& city, const ColumnField& columns, const LitCity& lit,
@@ -54,7 +58,9 @@ struct Development {
   bool panchromatic = false;  ///< luminance in all three channels
   std::uint32_t seed = 0;
 };
-/// Radiance to an image in [0, 1] of 256 levels.  [3 H W] -> [3 H W]
+/// Radiance to an image of 256 levels.
+/// radiance  [3 H W], linear
+/// returns   [3 H W] in [0, 1]
 Tensor develop(const Tensor& radiance, const Development& how);
 
 }  // namespace satsurf::train::simulate

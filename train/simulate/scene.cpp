@@ -62,8 +62,8 @@ Daylight draw_daylight(const Sun& sun, Rng& rng) {
   const auto season = static_cast<float>(rng.uniform(-1, 1)),
              lush = static_cast<float>(rng.uniform(0.75, 1.35));
   d.vegetation = {lush * (1.0f + 0.3f * season), lush, lush * (1.0f - 0.1f * season)};
-  const auto w =
-      static_cast<float>(log_uniform(rng, 0.3, 6));  // glint makes water bright on some dates
+  // glint makes water bright on some dates
+  const auto w = static_cast<float>(log_uniform(rng, 0.3, 6));
   const auto green = static_cast<float>(rng.uniform(0.7, 1.4));
   d.water = {0.028f * w, 0.04f * w * green, 0.045f * w};
   d.ripples = static_cast<float>(rng.uniform(0.02, 0.25));

@@ -28,8 +28,8 @@ struct SimulateConfig {
   double same_pass = 0.4;     ///< share of the scenes
   double off_nadir_min_deg = 5, off_nadir_max_deg = 32;
   double parallax_min = 0.3, parallax_max = 2;  ///< px per m, between any two views
-  double bias_px = 0;
-  bool heights = true;
+  double bias_px = 0;   ///< largest shift of the given cameras from the true ones
+  bool heights = true;  ///< also give the height of every pixel
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -83,8 +83,8 @@ struct SimulatedView {
   std::string date;                                   ///< YYYYMMDDHHMMSS, UTC
   Tensor height;  ///< [H W] local z of what each pixel's centre shows, m; empty unless wanted
   double off_nadir_deg = 0, azimuth_deg = 0;  ///< of the line of sight, towards the satellite
-  double rpc_rms_px = 0,
-         rpc_max_px = 0;  ///< how well `rpc`, before its bias, stands for the orbital camera
+  /// How well `rpc`, before its bias, stands for the orbital camera.
+  double rpc_rms_px = 0, rpc_max_px = 0;
 };
 
 /// One made-up place.
@@ -99,14 +99,14 @@ struct SimulatedScene {
 };
 
 /// Scene number `index` of a seed: a pure function of the arguments, for any number of threads.
-/// throws ConfigError for a kind that is not among SimulateConfig's
+/// throws  ConfigError for a kind that is not among SimulateConfig's
 SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index);
 
 /// Writes a scene in the layout of DFC2019 Track 3:
 ///   Track3-RGB/NAME_001_RGB.tif ...  uint8, camera in the RPC tag
-///   Track3-Truth/NAME_DSM.tif, NAME_DSM.txt, NAME_CLS.tif
+///   Track3-Truth/                    NAME_DSM.tif, NAME_DSM.txt, NAME_CLS.tif
 ///   Track3-Metadata/NAME.json        sun, date, angles, height range, zone
-/// throws IoError
+/// throws  IoError
 void write_scene(const SimulatedScene& scene, const std::filesystem::path& out_dir,
                  const std::string& name);
 
