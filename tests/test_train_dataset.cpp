@@ -8,6 +8,7 @@
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
+#include <nlohmann/json.hpp>
 
 using namespace satsurf;
 using namespace satsurf::test;
@@ -22,6 +23,45 @@ SimulateConfig small_scene() {
   c.gsd = 0.5;
   c.kinds = {"village"};
   return c;
+}
+
+/// The JSON file of a view as Sat-NeRF's tools write it.
+std::string satnerf_json(const SceneView& v, const std::string& image, double low, double high) {
+  const rpc::Rpc& r = v.rpc;
+  const nlohmann::json camera{
+      {"row_offset", r.line_off},    {"col_offset", r.samp_off},   {"lat_offset", r.lat_off},
+      {"lon_offset", r.lon_off},     {"alt_offset", r.height_off}, {"row_scale", r.line_scale},
+      {"col_scale", r.samp_scale},   {"lat_scale", r.lat_scale},   {"lon_scale", r.lon_scale},
+      {"alt_scale", r.height_scale}, {"row_num", r.line_num},      {"row_den", r.line_den},
+      {"col_num", r.samp_num},       {"col_den", r.samp_den}};
+  return nlohmann::json{{"img", image},
+                        {"width", v.rgb.dim(2)},
+                        {"height", v.rgb.dim(1)},
+                        {"sun_elevation", "+" + std::to_string(v.sun_elevation_deg)},
+                        {"sun_azimuth", std::to_string(v.sun_azimuth_deg)},
+                        {"acquisition_date", v.date},
+                        {"min_alt", low},
+                        {"max_alt", high},
+                        {"rpc", camera}}
+      .dump();
+}
+
+/// Writes `scene` as `folder`/train.txt, test.txt (the last view) and one JSON file per view.
+void write_satnerf(const Scene& scene, const std::filesystem::path& folder) {
+  std::filesystem::create_directories(folder);
+  std::string train;
+  for (const SceneView& v : scene.views) {
+    write_bytes(folder / (v.name + ".json"), satnerf_json(v, v.name + ".tif", -20, 60));
+    if (&v != &scene.views.back()) train += v.name + ".json\n";
+  }
+  write_bytes(folder / "train.txt", train);
+  write_bytes(folder / "test.txt", scene.views.back().name + ".json\r\n\n");
+}
+
+bool same_values(const Tensor& a, const Tensor& b) {
+  return a.shape() == b.shape() &&
+         std::equal(a.values().begin(), a.values().end(), b.values().begin(),
+                    [](float x, float y) { return x == y || (std::isnan(x) && std::isnan(y)); });
 }
 
 }  // namespace
@@ -101,6 +141,94 @@ TEST_CASE("pixels outside an image are invalid") {
   CHECK(seen <= 96 * 96);
   CHECK_FALSE(crop.target.has_value());
   CHECK(crop.source_truth.empty());
+}
+
+TEST_CASE("a Sat-NeRF folder holds the same scene as Track3 files") {
+  const TempFolder folder("dataset-5");
+  write_scene(simulate_scene(small_scene(), 3, 0), folder / "track", "SIM_001");
+  const Scene known = load_scene(folder / "track", "SIM_001");
+  const auto compare = [&](const std::filesystem::path& data) {
+    CAPTURE(data.string());
+    REQUIRE(list_scenes(data) == std::vector<std::string>{"SIM_001"});
+    const Scene scene = load_scene(data, "SIM_001");
+    CHECK(scene.frame == known.frame);
+    CHECK(scene.z_low == known.z_low);
+    CHECK(scene.z_high == known.z_high);
+    REQUIRE(scene.truth.has_value());
+    CHECK(same_values(scene.truth->z, known.truth->z));
+    CHECK(scene.truth->x0 == known.truth->x0);
+    CHECK(scene.truth->step == known.truth->step);
+    CHECK(same_values(scene.classes, known.classes));
+    REQUIRE(scene.views.size() == known.views.size());
+    for (std::size_t i = 0; i < known.views.size(); ++i) {
+      CHECK(scene.views[i].name == known.views[i].name);
+      CHECK(scene.views[i].date == known.views[i].date);
+      CHECK(scene.views[i].sun_azimuth_deg ==
+            doctest::Approx(known.views[i].sun_azimuth_deg).epsilon(1e-6));
+      CHECK(same_values(scene.views[i].rgb, known.views[i].rgb));
+      CHECK(same_values(scene.views[i].valid, known.views[i].valid));
+      const rpc::Geodetic g = known.frame.geodetic_from_local({3, -4, 1});
+      const rpc::Pixel a = scene.views[i].rpc.project(g), b = known.views[i].rpc.project(g);
+      CHECK(std::hypot(a.x - b.x, a.y - b.y) < 1e-9);
+    }
+  };
+  namespace fs = std::filesystem;
+  SUBCASE("images beside the JSON files, truth in truth/, the scene or its parent named") {
+    const fs::path scene = folder / "set" / "SIM_001";
+    write_satnerf(known, scene);
+    for (const auto& f : fs::directory_iterator(folder / "track" / "Track3-RGB"))
+      fs::copy(f, scene);
+    fs::copy(folder / "track" / "Track3-Truth", folder / "set" / "truth");
+    compare(scene);
+    compare(scene / "");
+    compare(folder / "set");
+  }
+  SUBCASE("images and truth as in Sat-NeRF's own archive") {
+    const fs::path scene = folder / "root_dir" / "crops_rpcs_ba_v2" / "SIM_001";
+    write_satnerf(known, scene);
+    fs::create_directories(folder / "DFC2019" / "Track3-RGB-crops");
+    fs::copy(folder / "track" / "Track3-RGB", folder / "DFC2019" / "Track3-RGB-crops" / "SIM_001");
+    fs::copy(folder / "track" / "Track3-Truth", folder / "DFC2019" / "Track3-Truth");
+    compare(scene);
+    compare(folder / "root_dir" / "crops_rpcs_ba_v2");
+  }
+  SUBCASE("the JSON's camera replaces the image's, and its heights serve without truth") {
+    const fs::path scene = folder / "SIM_001";
+    Scene moved = known;
+    for (SceneView& v : moved.views) v.rpc = v.rpc.cropped(2, 0);
+    write_satnerf(moved, scene);
+    fs::copy(folder / "track" / "Track3-RGB", scene / "images");
+    const Scene read = load_scene(scene, "SIM_001");
+    CHECK_FALSE(read.truth.has_value());
+    CHECK(read.classes.empty());
+    CHECK(read.z_low + read.frame.h0 == -20);
+    CHECK(read.z_high + read.frame.h0 == 60);
+    const rpc::Geodetic g = known.frame.geodetic_from_local({3, -4, 1});
+    CHECK(read.views[0].rpc.project(g).x ==
+          doctest::Approx(known.views[0].rpc.project(g).x - 2).epsilon(1e-9));
+  }
+}
+
+TEST_CASE("broken Sat-NeRF folders are refused by name") {
+  const TempFolder folder("dataset-6");
+  write_scene(simulate_scene(small_scene(), 3, 0), folder / "track", "SIM_001");
+  const Scene known = load_scene(folder / "track", "SIM_001");
+  const std::filesystem::path scene = folder / "SIM_001";
+  write_satnerf(known, scene);
+  const std::string where = scene.string();
+  CHECK(error_of<IoError>([&] { load_scene(scene, "SIM_001"); })
+            .starts_with(where +
+                         "/SIM_001_001_RGB.json: its image \"SIM_001_001_RGB.tif\" was "
+                         "not found, looked in " +
+                         where + ", " + folder.path().string() + ", "));
+  write_bytes(scene / "train.txt", "SIM_001_001_RGB.json\n\n lost.json\n");
+  const std::string lost =
+      where + "/train.txt: line 3 names lost.json, but there is no " + where + "/lost.json";
+  CHECK(error_of<IoError>([&] { load_scene(scene, "SIM_001"); }) == lost);
+  CHECK(error_of<IoError>([&] { list_scenes(scene); }) == lost);
+  write_bytes(scene / "train.txt", "\n");
+  CHECK(error_of<IoError>([&] { list_scenes(scene); }) ==
+        where + "/train.txt: names no view, expected one JSON file a line");
 }
 
 TEST_CASE("folders that are no data sets are refused") {

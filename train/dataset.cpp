@@ -7,35 +7,36 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
+#include <fstream>
 #include <set>
+#include <utility>
 
 namespace satsurf::train {
 namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kTruthMargin =
-    5;  // m added to a DSM's own range: parapets and cells it does not cover
+/// m added to a DSM's own range: parapets and cells it does not cover
+constexpr double kTruthMargin = 5;
 
-/// Where a data set keeps images, cameras (may be empty: RPC tags then) and truth.
-struct Layout {
-  fs::path images, cameras, truth;
+/// One image or JSON file as rpc::open_view takes them.
+struct ViewFile {
+  fs::path file;
+  std::vector<fs::path> image_dirs;
 };
 
-std::optional<Layout> layout_of(const fs::path& folder, const std::string& scene) {
-  if (fs::is_directory(folder / "Track3-RGB"))
-    return Layout{folder / "Track3-RGB", {}, folder / "Track3-Truth"};
-  const fs::path images = folder / "images", cameras = folder / "rpcs", truth = folder / "truth";
-  if (fs::is_directory(images)) return Layout{images / scene, cameras / scene, truth / scene};
-  return std::nullopt;
-}
+/// The files of one scene; those of the truth need not exist.
+struct SceneFiles {
+  std::vector<ViewFile> views;
+  fs::path dsm, classes;
+};
 
 [[noreturn]] void no_layout(const fs::path& folder) {
   throw IoError(
       folder.string() +
-      ": not a data set, expected Track3-RGB/ and Track3-Truth/ (simulate, DFC2019) or images/, "
-      "rpcs/ and truth/ (EOGS)");
+      ": not a data set, expected Track3-RGB/ and Track3-Truth/ (simulate, DFC2019), images/, "
+      "rpcs/ and truth/ (EOGS) or train.txt and the JSON files it lists (Sat-NeRF), or folders of "
+      "such");
 }
 
 /// JAX_068_012_RGB.tif -> JAX_068; empty if the name has another form.
@@ -53,6 +54,141 @@ std::vector<fs::path> files_of(const fs::path& folder, const std::vector<std::st
         extensions.end())
       files.push_back(entry.path());
   std::sort(files.begin(), files.end());
+  return files;
+}
+
+bool is_satnerf(const fs::path& folder) { return fs::is_regular_file(folder / "train.txt"); }
+
+/// A folder's own name, whatever way it is given (".", "a/b/").
+std::string name_of(const fs::path& folder) {
+  const fs::path p = fs::absolute(folder).lexically_normal();
+  return (p.has_filename() ? p : p.parent_path()).filename().string();
+}
+
+/// The folder of a Sat-NeRF scene: the data set itself, or one inside it.
+fs::path satnerf_folder(const fs::path& folder, const std::string& name) {
+  return is_satnerf(folder) && name_of(folder) == name ? folder : folder / name;
+}
+
+/// The scenes of a Sat-NeRF data set, by name; none if it is another one.
+std::set<std::string> satnerf_scenes(const fs::path& folder) {
+  if (is_satnerf(folder)) return {name_of(folder)};
+  std::set<std::string> names;
+  for (const auto& entry : fs::directory_iterator(folder))
+    if (entry.is_directory() && is_satnerf(entry.path()))
+      names.insert(entry.path().filename().string());
+  return names;
+}
+
+/// The JSON files that train.txt and then test.txt list, one a line, each once.
+std::vector<fs::path> satnerf_views(const fs::path& folder) {
+  std::vector<fs::path> views;
+  for (const char* split : {"train.txt", "test.txt"}) {
+    const fs::path list = folder / split;
+    if (!fs::exists(list)) continue;
+    std::ifstream in(list);
+    std::string line;
+    for (int number = 1; std::getline(in, line); ++number) {
+      const std::size_t begin = line.find_first_not_of(" \t\r");
+      if (begin == std::string::npos) continue;
+      const fs::path view = folder / line.substr(begin, line.find_last_not_of(" \t\r") + 1 - begin);
+      if (!fs::is_regular_file(view))
+        throw IoError(list.string() + ": line " + std::to_string(number) + " names " +
+                      view.filename().string() + ", but there is no " + view.string());
+      if (std::find(views.begin(), views.end(), view) == views.end()) views.push_back(view);
+    }
+    if (views.empty())
+      throw IoError(list.string() + ": names no view, expected one JSON file a line");
+  }
+  return views;
+}
+
+/// `folder` and up to three above it: Sat-NeRF's own archive keeps the JSON files in
+/// root_dir/SET/SCENE and images and truth in DFC2019 beside root_dir.
+std::vector<fs::path> folder_and_above(const fs::path& folder) {
+  std::vector<fs::path> folders;
+  for (const char* up : {"", "..", "../..", "../../.."}) {
+    fs::path p = (folder / up).lexically_normal();
+    if (!p.has_filename()) p = p.parent_path();
+    if (p.empty()) p = ".";
+    if (folders.empty() || p != folders.back()) folders.push_back(p);
+  }
+  return folders;
+}
+
+/// Folders to look in: of every folder those `inside` it that exist ("" is the folder itself), and
+/// before each its own sub-folder for one of the scenes.
+std::vector<fs::path> places(const std::vector<fs::path>& folders,
+                             const std::vector<std::string>& inside,
+                             const std::set<std::string>& scenes) {
+  std::vector<fs::path> out;
+  for (const fs::path& folder : folders)
+    for (const std::string& name : inside) {
+      const fs::path place = name.empty() ? folder : folder / name;
+      if (!fs::is_directory(place)) continue;
+      if (!name.empty())
+        for (const std::string& scene : scenes)
+          if (fs::is_directory(place / scene)) out.push_back(place / scene);
+      out.push_back(place);
+    }
+  return out;
+}
+
+/// Views with their images, and the truth, wherever public copies of these data keep them.
+SceneFiles satnerf_files(const fs::path& folder, const std::string& name) {
+  const std::vector<fs::path> above = folder_and_above(folder);
+  SceneFiles files;
+  std::set<std::string> scenes{name};  // and the scene its images are named for
+  for (const fs::path& json : satnerf_views(folder)) {
+    const std::string image = rpc::read_satnerf_json(json).image;
+    if (const std::string s = scene_of(fs::path(image).stem().string()); !s.empty())
+      scenes.insert(s);
+    // crops before the whole images they were cut from, which have the same names
+    const std::vector<fs::path> dirs = places(above,
+                                              {"", "images", "Track3-RGB-crops", "Track3-RGB",
+                                               "DFC2019/Track3-RGB-crops", "DFC2019/Track3-RGB"},
+                                              scenes);
+    const auto dir = std::find_if(dirs.begin(), dirs.end(),
+                                  [&](const fs::path& d) { return fs::exists(d / image); });
+    if (dir == dirs.end()) {
+      std::string looked;
+      for (const fs::path& d : dirs) looked += (looked.empty() ? "" : ", ") + d.string();
+      throw IoError(json.string() + ": its image \"" + image + "\" was not found, looked in " +
+                    looked + "; put it beside the JSON file, or into images/");
+    }
+    files.views.push_back({json, {*dir}});
+  }
+  for (const fs::path& dir :
+       places(above, {"", "truth", "Truth", "Track3-Truth", "DFC2019/Track3-Truth"}, scenes))
+    for (const std::string& scene : scenes)
+      if (files.dsm.empty() && fs::exists(dir / (scene + "_DSM.tif")))
+        files.dsm = dir / (scene + "_DSM.tif");
+  if (!files.dsm.empty()) {  // classes belong to this grid, so they lie beside it
+    const std::string stem = files.dsm.stem().string();
+    files.classes = files.dsm.parent_path() / (stem.substr(0, stem.size() - 3) + "CLS.tif");
+  }
+  return files;
+}
+
+SceneFiles files_of_scene(const fs::path& folder, const std::string& name) {
+  if (const fs::path satnerf = satnerf_folder(folder, name); is_satnerf(satnerf))
+    return satnerf_files(satnerf, name);
+  const bool track3 = fs::is_directory(folder / "Track3-RGB");
+  if (!track3 && !fs::is_directory(folder / "images")) no_layout(folder);
+  const fs::path images = track3 ? folder / "Track3-RGB" : folder / "images" / name,
+                 truth = track3 ? folder / "Track3-Truth" : folder / "truth" / name;
+  SceneFiles files{{}, truth / (name + "_DSM.tif"), truth / (name + "_CLS.tif")};
+  for (const fs::path& image : files_of(images, {".tif", ".tiff"})) {
+    const std::string stem = image.stem().string();
+    if (track3 && scene_of(stem) != name) continue;
+    const fs::path json = folder / "rpcs" / name / (stem + ".json");
+    if (!track3 && fs::exists(json))
+      files.views.push_back({json, {images}});
+    else
+      files.views.push_back({image, {}});
+  }
+  if (files.views.empty())
+    throw IoError((folder / name).string() + ": no images, expected " + name + "_*_RGB.tif");
   return files;
 }
 
@@ -87,8 +223,10 @@ std::pair<double, double> finite_range(const Tensor& z) {
 std::vector<std::string> list_scenes(const fs::path& folder) {
   if (!fs::is_directory(folder))
     throw IoError(folder.string() + ": no such folder, expected a data set");
-  std::set<std::string> names;
-  if (fs::is_directory(folder / "Track3-RGB")) {
+  std::set<std::string> names = satnerf_scenes(folder);
+  if (!names.empty()) {
+    for (const std::string& name : names) satnerf_views(satnerf_folder(folder, name));
+  } else if (fs::is_directory(folder / "Track3-RGB")) {
     for (const fs::path& f : files_of(folder / "Track3-RGB", {".tif", ".tiff"}))
       if (const std::string scene = scene_of(f.stem().string()); !scene.empty())
         names.insert(scene);
@@ -104,20 +242,15 @@ std::vector<std::string> list_scenes(const fs::path& folder) {
 }
 
 Scene load_scene(const fs::path& folder, const std::string& name) {
-  const auto layout = layout_of(folder, name);
-  if (!layout) no_layout(folder);
+  const SceneFiles files = files_of_scene(folder, name);
   Scene scene;
   scene.name = name;
 
   double low = INFINITY, high = -INFINITY;
-  for (const fs::path& file : files_of(layout->images, {".tif", ".tiff"})) {
-    if (layout->cameras.empty() && scene_of(file.stem().string()) != name) continue;
-    const fs::path camera = layout->cameras / (file.stem().string() + ".json");
-    const rpc::Image image = !layout->cameras.empty() && fs::exists(camera)
-                                 ? rpc::open_view(camera, {layout->images})
-                                 : rpc::open_view(file, {});
+  for (const ViewFile& file : files.views) {
+    const rpc::Image image = rpc::open_view(file.file, file.image_dirs);
     SceneView view;
-    view.name = file.stem().string();
+    view.name = image.info.path.stem().string();
     view.rgb = rpc::to_rgb(image);
     view.valid = image.valid;
     view.rpc = *image.info.rpc;
@@ -130,8 +263,6 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
     }
     scene.views.push_back(std::move(view));
   }
-  if (scene.views.empty())
-    throw IoError((folder / name).string() + ": no images, expected " + name + "_*_RGB.tif");
 
   const auto centre =
       scene.views[0].rpc.localize({static_cast<double>(scene.views[0].rgb.dim(2)) / 2,
@@ -139,13 +270,11 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
                                   scene.views[0].rpc.height_off);
   scene.frame.zone = rpc::utm_zone_of(centre.lon, centre.lat);
 
-  const fs::path dsm = layout->truth / (name + "_DSM.tif"),
-                 classes = layout->truth / (name + "_CLS.tif");
-  if (fs::exists(dsm)) {
-    const rpc::GeoRaster raster = rpc::read_geo_raster(dsm, scene.frame.zone);
+  if (fs::exists(files.dsm)) {
+    const rpc::GeoRaster raster = rpc::read_geo_raster(files.dsm, scene.frame.zone);
     const auto [z_min, z_max] = finite_range(raster.values);
     if (std::isnan(z_min))
-      throw IoError(dsm.string() + ": no finite height, expected a surface model");
+      throw IoError(files.dsm.string() + ": no finite height, expected a surface model");
     low = z_min - kTruthMargin;
     high = z_max + kTruthMargin;
     const Index H = raster.values.dim(raster.values.rank() - 2),
@@ -158,8 +287,8 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
                       raster.grid.y0 - scene.frame.northing0, step};
     for (float& z : truth.z.values()) z -= static_cast<float>(scene.frame.h0);
     scene.truth = std::move(truth);
-    if (fs::exists(classes)) {
-      const rpc::GeoRaster c = rpc::read_geo_raster(classes, scene.frame.zone);
+    if (fs::exists(files.classes)) {
+      const rpc::GeoRaster c = rpc::read_geo_raster(files.classes, scene.frame.zone);
       scene.classes =
           c.values.reshaped({c.values.dim(c.values.rank() - 2), c.values.dim(c.values.rank() - 1)});
     }

@@ -134,7 +134,8 @@ void add_simulate(CLI::App& app, Common& common, std::function<void()>& run) {
 void add_train(CLI::App& app, Common& common, std::function<void()>& run) {
   static TrainOptions o;
   CLI::App* c = add_command(app, common, "train", "train a network on scenes with true surfaces");
-  c->add_option("--data", o.data, "data set: what simulate writes, DFC2019 Track 3 or EOGS")
+  c->add_option("--data", o.data,
+                "data set: what simulate writes, DFC2019 Track 3, EOGS or Sat-NeRF")
       ->type_name("DIR");
   c->add_option("--out", o.out, "folder for checkpoint, weights and train.jsonl")->type_name("DIR");
   c->add_option("--seed", o.seed, "of the initial weights and the samples")
@@ -221,7 +222,7 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
                 "picture of the errors, blue too low, red too high, 5 m at most")
       ->type_name("PNG")
       ->group("One surface");
-  CLI::Option* data = c->add_option("--data", s.data, "data set")
+  CLI::Option* data = c->add_option("--data", s.data, "data set: any layout that train takes")
                           ->type_name("DIR")
                           ->group("A data set")
                           ->excludes(dsm);

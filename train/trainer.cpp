@@ -25,11 +25,11 @@ std::vector<Scene> load_all(const fs::path& folder, Index views) {
   for (const std::string& name : list_scenes(folder)) {
     Scene scene = load_scene(folder, name);
     if (static_cast<Index>(scene.views.size()) <= views)
-      throw IoError((folder / name).string() + ": " + std::to_string(scene.views.size()) +
-                    " images, expected more than " + std::to_string(views) +
-                    " (the sources and one target)");
+      throw IoError(folder.string() + ": scene " + name + " has " +
+                    std::to_string(scene.views.size()) + " images, expected more than " +
+                    std::to_string(views) + " (the sources and one target)");
     if (!scene.truth)
-      throw IoError((folder / name).string() + ": no truth (" + name +
+      throw IoError(folder.string() + ": scene " + name + " has no truth (" + name +
                     "_DSM.tif), expected one to train with");
     scenes.push_back(std::move(scene));
   }

@@ -276,10 +276,12 @@ mkdir box && cp -r data box/
 refuses "missing data folder" 1 "nowhere" "$satsurf" train --data nowhere --out no "${tiny[@]}"
 mkdir hollow
 refuses "folder without scenes" 1 "hollow" "$satsurf" train --data hollow --out no "${tiny[@]}"
+mkdir hollow/scene && touch hollow/scene/train.txt
+refuses "Sat-NeRF scene without views" 1 "hollow/scene/train.txt: names no view" "$satsurf" train --data hollow --out no "${tiny[@]}"
 refuses "training into a used folder" 1 "whole .*--overwrite" "$satsurf" train --data data --out whole "${tiny[@]}"
 retrain() { "$satsurf" train "${tiny[@]}" --overwrite "$@"; }
 refuses "overwriting, no such --init" 1 "nope.safetensors" retrain --data data --out whole --init nope.safetensors
-refuses "overwriting, too few images" 1 "SIM_001: 4 images" retrain --data data --out whole --views 8
+refuses "overwriting, too few images" 1 "SIM_001 has 4 images" retrain --data data --out whole --views 8
 refuses "overwriting --init" 1 "whole holds the input $weights" retrain --data data --out whole --init $weights
 refuses "overwriting the data" 1 "data holds the input data" retrain --data data --out data
 refuses "overwriting a folder around the data" 1 "^satsurf: out: data/../box holds the input box/data" \
