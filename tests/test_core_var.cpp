@@ -117,6 +117,27 @@ TEST_CASE("var: NoGrad records nothing, in this thread only") {
   CHECK(muladd(x, x).wants_grad());
 }
 
+TEST_CASE("gradcheck sees a wrong gradient however small all of them are") {
+  const auto scaled_mean = [](double slip) {
+    return [slip](const std::vector<V>& v) {
+      const Index n = v[0].count();
+      const double part = 1e-6 / static_cast<double>(n);
+      double sum = 0;
+      for (Index i = 0; i < n; ++i) sum += part * v[0].value()[i];
+      return V::record("scaled_mean", T::scalar(sum), {v[0]}, [n, part, slip](Node<double>& node) {
+        if (double* d = node.grad_in(0))
+          for (Index i = 0; i < n; ++i) d[i] += node.grad[0] * part * (i == 2 ? 1 + slip : 1);
+      });
+    };
+  };
+  const T x = test::normal({40}, 7);
+  CHECK(test::gradcheck(scaled_mean(0), {x}));
+  const test::GradcheckReport wrong = test::gradcheck(scaled_mean(1e-4), {x});
+  CHECK_FALSE(wrong);
+  CHECK(wrong.text.starts_with("input 0 element 2: "));
+  CHECK_FALSE(test::gradcheck(scaled_mean(-1e-4), {x}));
+}
+
 TEST_CASE("var: NanGuard names the op that broke first") {
   const V x = leaf(std::numeric_limits<double>::max());
   const V broken = muladd(x, x);
