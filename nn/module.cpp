@@ -84,6 +84,11 @@ void ParameterSet<T>::load(const TensorFile& file, const std::string& prefix,
     append_some(text, "not in the model", extra);
     throw IoError(text);
   }
+  for (const Entry& e : entries_)
+    for (const float v : file.tensors.at(prefix + e.name).values())
+      if (!std::isfinite(v))
+        throw IoError(where + ": parameter " + e.name + " holds " + std::to_string(v) +
+                      ", expected finite numbers");
   for (Entry& e : entries_)
     e.var.mutable_value() = file.tensors.at(prefix + e.name).template cast<T>();
 }

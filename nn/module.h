@@ -47,9 +47,10 @@ class ParameterSet {
 
   /// Adds every parameter under `prefix` + its name.
   void store(TensorFile& file, const std::string& prefix) const;
-  /// Takes every parameter from `prefix` + its name.
+  /// Takes every parameter from `prefix` + its name, all or none.
   /// where   begins the error texts
-  /// throws  IoError listing missing, extra and mis-shaped names
+  /// throws  IoError listing missing, extra and mis-shaped names, or naming a parameter that holds
+  ///         NaN or infinity
   void load(const TensorFile& file, const std::string& prefix, const std::string& where);
 
  private:

@@ -24,14 +24,18 @@ nn::Model model_from(const TensorFile& file, const std::string& where) {
     throw IoError(where + ": not a satsurf model, expected metadata format = " + kFormat +
                   " and its configuration");
   nn::ModelConfig c;
-  try {
+  try {  // here a wrong configuration is a damaged file, not wrong usage
     from_json(parse_json(config->second, where), c, where);
   } catch (const ConfigError& e) {
     throw IoError(e.what());
   }
-  nn::Model model(c, 0);
-  model.parameters().load(file, kPrefix, where);
-  return model;
+  try {
+    nn::Model model(c, 0);
+    model.parameters().load(file, kPrefix, where);
+    return model;
+  } catch (const ConfigError& e) {
+    throw IoError(where + ": " + e.what());
+  }
 }
 
 nn::Model load_model(const std::filesystem::path& path) {
