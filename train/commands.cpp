@@ -99,7 +99,7 @@ int interrupt_signal() { return signal_seen; }
 
 void run_simulate(const SimulateOptions& options) {
   SimulateConfig config = options.config;
-  check_fields(config, "simulate");
+  check_config(config);
   RunRecord record("simulate", to_json(config), config.seed);
   config.heights = false;  // per-pixel heights are not written
   OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, {options.config_file});

@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <sstream>
 
 namespace satsurf::train {
 namespace {
@@ -17,6 +18,7 @@ namespace {
 using namespace simulate;
 
 constexpr double kRadians = std::numbers::pi / 180;
+constexpr double kFinestGsd = 0.3;  // m, where none is given
 
 double log_uniform(Rng& rng, double low, double high) {
   return low * std::pow(high / low, rng.uniform());
@@ -113,13 +115,35 @@ struct Bounds {
 
 }  // namespace
 
+void check_config(const SimulateConfig& c) {
+  check_fields(c, "simulate");
+  const auto ordered = [](const char* low_name, double low, const char* high_name, double high) {
+    if (low <= high) return;
+    std::ostringstream text;
+    text << "simulate: " << low_name << " is " << low << ", expected at most the " << high << " of "
+         << high_name;
+    throw ConfigError(text.str());
+  };
+  ordered("off_nadir_min_deg", c.off_nadir_min_deg, "off_nadir_max_deg", c.off_nadir_max_deg);
+  ordered("parallax_min", c.parallax_min, "parallax_max", c.parallax_max);
+  // Two views on opposite sides, as far from nadir as allowed, in the finest pixels.
+  const double widest =
+      2 * std::tan(c.off_nadir_max_deg * kRadians) / (c.gsd > 0 ? c.gsd : kFinestGsd);
+  if (c.views > 1 && c.parallax_min > widest) {
+    std::ostringstream text;
+    text << "simulate: parallax_min is " << c.parallax_min << " px/m, expected at most the "
+         << widest << " that off_nadir_max_deg = " << c.off_nadir_max_deg << " allows";
+    throw ConfigError(text.str());
+  }
+}
+
 SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index) {
   const Rng root = Rng(seed, 0x51D).fork(static_cast<std::uint64_t>(index));
   Rng rng = root.fork(1);
   SimulatedScene scene;
   CityPlan plan = draw_plan(config, rng);
   scene.kind = plan.kind;
-  scene.gsd = config.gsd > 0 ? config.gsd : rng.uniform(0.3, 0.6);
+  scene.gsd = config.gsd > 0 ? config.gsd : rng.uniform(kFinestGsd, 0.6);
   const bool panchromatic = rng.chance(config.panchromatic),
              same_pass = rng.chance(config.same_pass);
   const rpc::Geodetic place = draw_place(rng);

@@ -75,6 +75,9 @@ struct SimulateConfig {
   }
 };
 
+/// throws ConfigError for fields out of their range or at odds with each other
+void check_config(const SimulateConfig& config);
+
 /// One made-up image.
 struct SimulatedView {
   Tensor rgb;  ///< [3 H W] in [0, 1], 256 levels; three equal channels if panchromatic
