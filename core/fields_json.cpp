@@ -147,7 +147,10 @@ json parse_json(std::string_view text, const std::string& where) {
   try {
     return json::parse(text.begin(), text.end(), check);
   } catch (const json::parse_error& e) {
-    throw IoError(where + ": " + position(text, e.byte) + ": " + reason(e.what()));
+    const std::string why = reason(e.what());
+    const bool literal = why.find("invalid literal") != std::string::npos;
+    throw IoError(where + ": " + position(text, e.byte) + ": " + why +
+                  (literal ? ", expected a JSON value (NaN and Infinity are none)" : ""));
   } catch (const json::exception& e) {  // a number out of range
     throw IoError(where + ": " + reason(e.what()));
   }

@@ -221,7 +221,8 @@ GeoRaster read_geo_raster(const fs::path& path, const std::optional<UtmZone>& zo
     float* to = out.values.data() + (b - 1) * H * W;
     CPLErrorReset();
     if (band->RasterIO(GF_Read, 0, 0, w, h, to, w, h, GDT_Float32, 0, 0, nullptr) != CE_None)
-      throw IoError(path.string() + ": the values cannot be read; " + gdal_error());
+      throw IoError(path.string() + ": the values cannot be read, wanted a whole file; " +
+                    gdal_error());
     int has_nodata = 0;
     const auto nodata = static_cast<float>(band->GetNoDataValue(&has_nodata));
     constexpr float kNan = std::numeric_limits<float>::quiet_NaN();

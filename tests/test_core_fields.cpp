@@ -262,6 +262,7 @@ TEST_CASE("fields: JSON files are read strictly and errors name the line") {
   CHECK(load_json_file(path) == json{{"lr", 0.25}});
   CHECK(error("{\n  \"lr\": 1,\n  oops\n}").starts_with("line 3, column 3: syntax error"));
   CHECK(error("").starts_with("line 1, column 1: "));
+  CHECK(error("{\"lr\": NaN}").ends_with(", expected a JSON value (NaN and Infinity are none)"));
   CHECK(error("{\"a\": {\"b\": 1, \"c\": 2, \"b\": 3}}") == "key \"b\" appears twice");
   CHECK(error("{\"a\": [{\"b\": 1}, {\"b\": 2}]}") == "no prefix: no exception");
   CHECK(error_of<IoError>([&] { load_json_file(folder / "none.json"); }) ==

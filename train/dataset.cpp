@@ -245,6 +245,8 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
   const SceneFiles files = files_of_scene(folder, name);
   Scene scene;
   scene.name = name;
+  scene.images = folder;
+  scene.truth_file = files.dsm.empty() ? folder / (name + "_DSM.tif") : files.dsm;
 
   double low = INFINITY, high = -INFINITY;
   for (const ViewFile& file : files.views) {
@@ -257,6 +259,7 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
     view.sun_elevation_deg = image.info.sun_elevation_deg.value_or(0);
     view.sun_azimuth_deg = image.info.sun_azimuth_deg.value_or(0);
     view.date = image.info.acquisition_date.value_or("");
+    view.file = file.file;
     if (image.info.height_range) {
       low = std::min(low, image.info.height_range->low);
       high = std::max(high, image.info.height_range->high);

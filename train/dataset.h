@@ -21,6 +21,7 @@ struct SceneView {
   rpc::Rpc rpc;
   double sun_elevation_deg = 0, sun_azimuth_deg = 0;
   std::string date;
+  std::filesystem::path file{};  ///< what it was read from
 };
 
 /// Images of one place, and what is known of its surface.
@@ -28,9 +29,10 @@ struct Scene {
   std::string name;
   rpc::LocalFrame frame;
   std::vector<SceneView> views;
-  std::optional<HeightField> truth;  ///< in the local frame
-  Tensor classes;                    ///< [H W] on the truth's grid, or empty; 9 = water
-  double z_low = 0, z_high = 0;      ///< height range in the local frame, m
+  std::optional<HeightField> truth;          ///< in the local frame
+  Tensor classes;                            ///< [H W] on the truth's grid, or empty; 9 = water
+  double z_low = 0, z_high = 0;              ///< height range in the local frame, m
+  std::filesystem::path images, truth_file;  ///< the data set, and where its truth is or should be
 };
 
 /// The scenes of a data set, sorted by name. `folder` has one of these layouts:

@@ -172,9 +172,11 @@ DsmPair load_dsm_pair(const std::filesystem::path& prediction, const std::filesy
 SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
                            const EvaluateOptions& options) {
   if (static_cast<Index>(scene.views.size()) < options.views)
-    throw IoError(scene.name + ": " + std::to_string(scene.views.size()) + " images, wanted " +
-                  std::to_string(options.views) + " or more");
-  if (!scene.truth) throw IoError(scene.name + ": no truth, wanted " + scene.name + "_DSM.tif");
+    throw IoError(scene.images.string() + ": " + std::to_string(scene.views.size()) +
+                  " images of " + scene.name + ", wanted " + std::to_string(options.views) +
+                  " or more");
+  if (!scene.truth)
+    throw IoError(scene.truth_file.string() + ": no such file, wanted the truth to score against");
   const NoGrad no_grad;
   std::vector<Index> sources;
   for (Index i = 0; i < options.views; ++i) sources.push_back(i);

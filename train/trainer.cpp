@@ -29,8 +29,7 @@ std::vector<Scene> load_all(const fs::path& folder, Index views) {
                     std::to_string(scene.views.size()) + " images, expected more than " +
                     std::to_string(views) + " (the sources and one target)");
     if (!scene.truth)
-      throw IoError(folder.string() + ": scene " + name + " has no truth (" + name +
-                    "_DSM.tif), expected one to train with");
+      throw IoError(scene.truth_file.string() + ": no such file, wanted the truth to train with");
     scenes.push_back(std::move(scene));
   }
   return scenes;
