@@ -3,6 +3,7 @@
 
 #include "satsurf/nn/blocks.h"
 
+#include <functional>
 #include <vector>
 
 namespace satsurf::nn {
@@ -17,9 +18,10 @@ class CostNet {
   /// base, levels  as volume_base and volume_levels of ModelConfig
   CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base, Index levels);
   /// volume   [C D H W], D, H and W multiples of 2^levels
+  /// poll     called between layers, may throw to stop
   /// returns  logits [1 D H W]
   /// throws   ShapeError
-  BasicVar<T> operator()(BasicVar<T> volume) const;
+  BasicVar<T> operator()(BasicVar<T> volume, const std::function<void()>& poll = {}) const;
 
  private:
   struct Level {

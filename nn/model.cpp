@@ -145,9 +145,13 @@ const ParameterSet<T>& BasicModel<T>::parameters() const {
 }
 
 template <class T>
-std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) const {
+std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
+                                                     const std::function<void()>& poll) const {
   const ModelConfig& config = parts_->config;
   check(config, scene);
+  const auto polled = [&poll] {
+    if (poll) poll();
+  };
   const std::size_t N = scene.sources.size();
   const Index views = static_cast<Index>(N), H = scene.sources[0].rgb.dim(1),
               W = scene.sources[0].rgb.dim(2);
@@ -157,6 +161,7 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
   // Views pass through the 2D nets one after the other: that takes a third of the memory.
   std::array<std::vector<BasicVar<T>>, 3> levels;
   for (const View& v : scene.sources) {
+    polled();
     const auto features = parts_->features(BasicVar<T>(standardised<T>(v)));
     for (std::size_t s = 0; s < 3; ++s) levels[s].push_back(features[s]);
   }
@@ -189,13 +194,16 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
     const BasicTensor<T> seen = area_downsample(valid, stride).value();
     std::vector<BasicVar<T>> logits;
     for (std::size_t i = 0; i < N; ++i) {
+      polled();
       std::vector<Quadratic> maps;
       for (std::size_t j = 0; j < N; ++j)
         maps.push_back(rescale_pixels(scene.transfer[i][j], static_cast<double>(stride),
                                       static_cast<double>(stride)));
-      logits.push_back(parts_->stages[s].cost(plane_sweep_variance(
-          pyramid[s], static_cast<Index>(i), maps, stage.hypotheses.slice0(static_cast<Index>(i)),
-          seen, config.variance_includes_reference)));
+      logits.push_back(parts_->stages[s].cost(
+          plane_sweep_variance(pyramid[s], static_cast<Index>(i), maps,
+                               stage.hypotheses.slice0(static_cast<Index>(i)), seen,
+                               config.variance_includes_reference),
+          poll));
     }
 
     // 3. Heights and confidence.
@@ -207,6 +215,7 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
     const BasicVar<T> image = stride == 1 ? images : area_downsample(images, stride);
     std::vector<BasicVar<T>> raw;
     for (Index i = 0; i < views; ++i) {
+      polled();
       const auto of_view = [i](const BasicVar<T>& x) { return slice(x, 0, i, i + 1); };
       raw.push_back(parts_->stages[s].head(
           concat<T>({of_view(image), of_view(pyramid[s]), of_view(stage.probability),
@@ -219,6 +228,29 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene) co
                                       geometry, config.rotation == "camera+residual");
   }
   return out;
+}
+
+double forward_bytes(const ModelConfig& config, Index views, Index height, Index width) {
+  const double N = static_cast<double>(views), v = static_cast<double>(config.volume_base);
+  constexpr double kSurfel = 26;  // packed, and once more as attributes
+  constexpr double kRaw = 20;     // the head's output of every view, and all of them joined
+  // floats per image pixel
+  double kept = N * (1.75 * static_cast<double>(config.base) + 3 + 1), most = 0;
+  for (std::size_t s = 0; s < 3; ++s) {
+    const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);
+    const double C = static_cast<double>(config.base * kStrides[s]);
+    const double D = static_cast<double>(config.hypotheses[s]);
+    const double w = static_cast<double>(config.head_width[s]);
+    kept += N * D * p;                                     // hypotheses
+    const double volume = D * p * std::max(C + v, 3 * v);  // entering, or leaving, the U-Net
+    const double head = p * (2 * (4 + C + D) + 3 * w);
+    const double logits = N * D * p;
+    most = std::max(most, kept + logits + volume);
+    most = std::max(most, kept + logits + N * p * D + head);
+    kept += N * p * (D + 2 + kSurfel);  // probability, height, confidence, surfels
+    most = std::max(most, kept + logits + N * p * kRaw);
+  }
+  return sizeof(float) * most * static_cast<double>(height) * static_cast<double>(width);
 }
 
 template <class T>

@@ -7,6 +7,8 @@
 #include "satsurf/splat/rasterize.h"
 
 #include <array>
+#include <cstddef>
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -40,14 +42,22 @@ class BasicModel {
   const ParameterSet<T>& parameters() const;
 
   /// Heights, confidences and surfels of every stage, coarse to fine.
+  /// poll    called between layers, may throw to stop
   /// throws  ShapeError if views differ in size or are no multiple of `size_multiple`
-  std::array<StageOutput<T>, 3> forward(const SceneInput& scene) const;
+  std::array<StageOutput<T>, 3> forward(const SceneInput& scene,
+                                        const std::function<void()>& poll = {}) const;
 
  private:
   struct Parts;
   std::unique_ptr<Parts> parts_;
 };
 using Model = BasicModel<float>;
+
+/// Memory a forward pass without a tape takes, from the sizes of the volumes, heads and surfels.
+/// height, width  of the views, image pixels
+/// returns        bytes of all tensors at the worst moment, its result included and the scene not,
+///                within a quarter
+double forward_bytes(const ModelConfig& config, Index views, Index height, Index width);
 
 /// Renders surfels into a view at one of the stage strides.
 /// surfels           in the local frame

@@ -2,6 +2,7 @@
 #include "satsurf/rpc/read.h"
 
 #include "satsurf/core/dims.h"
+#include "satsurf/core/memory.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/gdal.h"
 
@@ -33,10 +34,26 @@ std::vector<std::uint8_t> file_mask(const fs::path& path, GDALDataset& d,
                        static_cast<int>(w.width), static_cast<int>(w.height), band.data(),
                        static_cast<int>(w.width), static_cast<int>(w.height), GDT_Byte, 0, 0,
                        nullptr) != CE_None)
-      throw IoError(path.string() + ": the mask cannot be read; " + gdal_error());
+      throw IoError(path.string() + ": the mask cannot be read, wanted a whole file; " +
+                    gdal_error());
     for (std::size_t i = 0; i < N; ++i) valid[i] = valid[i] || band[i] != 0;
   }
   return valid;
+}
+
+/// throws IoError for a window that the memory cannot hold: some systems promise any amount
+void check_memory(const fs::path& path, Index bands, const PixelWindow& w) {
+  // pixels and validity as floats, two masks of a byte
+  const double needed = static_cast<double>(w.width) * static_cast<double>(w.height) *
+                        (4 * static_cast<double>(bands + 1) + 2);
+  const auto available = static_cast<double>(available_memory());
+  if (needed <= available) return;
+  std::ostringstream text;
+  text << path.string() << ": " << w.width << " x " << w.height << " px of " << bands
+       << (bands == 1 ? " band take " : " bands take ") << memory_text(needed)
+       << " of memory, wanted " << memory_text(available)
+       << " at most; cut it into smaller images (gdal_translate -srcwin)";
+  throw IoError(text.str());
 }
 
 /// Lowest values and highest of the middle 98 percent of the valid pixels of three channels
@@ -128,13 +145,15 @@ Image read_image(const fs::path& path, const std::optional<PixelWindow>& window)
 
   std::vector<int> bands = colour_bands(*d);
   const Index C = info.bands, H = w.height, W = w.width, N = H * W;
+  check_memory(path, C, w);
   image.pixels = Tensor::uninitialised({C, H, W});
   CPLErrorReset();
   if (d->RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0), static_cast<int>(W),
                   static_cast<int>(H), image.pixels.data(), static_cast<int>(W),
                   static_cast<int>(H), GDT_Float32, static_cast<int>(C), bands.data(), 0, 0, 0,
                   nullptr) != CE_None)
-    throw IoError(path.string() + ": the pixels cannot be read; " + gdal_error());
+    throw IoError(path.string() + ": the pixels cannot be read, wanted a whole file; " +
+                  gdal_error());
 
   const auto mask = file_mask(path, *d, bands, w);
   image.valid = Tensor::uninitialised({H, W});

@@ -41,6 +41,37 @@ BasicVar<T> objective(const nn::BasicModel<T>& model, const nn::SceneInput& scen
 
 }  // namespace
 
+TEST_CASE("the memory of a forward pass is known before") {
+  const NoGrad no_grad;
+  for (const char* preset : {"tiny", "base8", "base16"})
+    for (const std::size_t views : {2, 3, 5}) {
+      CAPTURE(preset);
+      CAPTURE(views);
+      const nn::ModelConfig config = nn::model_preset(preset);
+      const nn::Model model(config, 1);
+      auto scene = affine_scene(64, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}, {0.5, 0.5}, {-0.2, 0.6}},
+                                -6, 6, [](double, double) { return 0.0; });
+      scene.sources.resize(views), scene.transfer.resize(views);
+      for (auto& row : scene.transfer) row.resize(views);
+      const auto before = static_cast<double>(tensor_bytes());
+      reset_peak_tensor_bytes();
+      model.forward(scene);
+      const double used = static_cast<double>(peak_tensor_bytes()) - before;
+      CHECK(nn::forward_bytes(config, static_cast<Index>(views), 64, 64) / used ==
+            doctest::Approx(1).epsilon(0.25));
+    }
+}
+
+TEST_CASE("a forward pass can be stopped") {
+  struct Stop {};
+  int calls = 0;
+  const nn::Model model(nn::model_preset("tiny"), 1);
+  const NoGrad no_grad;
+  model.forward(hill(), [&] { ++calls; });
+  CHECK(calls > 3 * 3 * 5);  // stages, views, layers
+  CHECK_THROWS_AS(model.forward(hill(), [] { throw Stop{}; }), Stop);
+}
+
 TEST_CASE("stages have the promised shapes, ranges and normalisation") {
   const nn::BasicModel<float> model(nn::model_preset("tiny"), 1);
   const auto scene = hill();

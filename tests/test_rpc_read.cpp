@@ -526,7 +526,8 @@ TEST_CASE("files that are no rasters, in one line and in silence") {
     text = error_of<IoError>([&] { read_image(path); });
     CHECK(text.find(p + ": ") == 0);
     CHECK(text.find('\n') == std::string::npos);
-    pixels_missing += text.find(": the pixels cannot be read; ") != std::string::npos;
+    pixels_missing +=
+        text.find(": the pixels cannot be read, wanted a whole file; ") != std::string::npos;
   }
   CHECK(pixels_missing >= 1);
   CHECK(error_of<IoError>([&] { read_geo_raster(path); }).find(p + ": ") == 0);

@@ -250,7 +250,7 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
   Scene scene;
   scene.frame = made.frame;
   for (const SimulatedView& v : made.views)
-    scene.views.push_back({"v", v.rgb, Tensor({192, 192}, 1.f), v.rpc, 0, 0, ""});
+    scene.views.push_back({"v", v.rgb, Tensor({192, 192}, 1.f), v.rpc, 0, 0, "", "v.tif"});
   const double low = made.h_min - made.frame.h0, high = made.h_max - made.frame.h0;
   const auto [found_low, found_high] = find_height_range(scene, low - 300, high + 300);
   CHECK(found_low <
@@ -258,4 +258,12 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
   CHECK(found_high > low);
   CHECK(found_high - found_low < high - low + 80);
   CHECK_THROWS_AS(find_height_range(scene, high + 400, high + 700), Error);
+  struct Stop {};
+  CHECK_THROWS_AS(find_height_range(scene, low, high, [] { throw Stop{}; }), Stop);
+  for (Index i = 0; i < scene.views[1].rgb.count(); ++i)  // smooth, but not of one grey
+    scene.views[1].rgb[i] = 0.3f + 0.1f * static_cast<float>(i % 192) / 192;
+  CHECK_THROWS_WITH_AS(find_height_range(scene, low, high),
+                       "v.tif: 0 windows with texture, wanted 100 or more to compare with the "
+                       "other images",
+                       Error);
 }

@@ -49,9 +49,9 @@ struct Folder {
   }
 };
 
-std::string refusal(const std::vector<fs::path>& files) {
+std::string refusal(const std::vector<fs::path>& files, const rpc::HeightRange& range = {0, 40}) {
   try {
-    scene_from_views(files, {}, rpc::HeightRange{0, 40});
+    scene_from_views(files, {}, range);
   } catch (const Error& e) {
     return e.what();
   }
@@ -125,8 +125,12 @@ TEST_CASE("scene_from_views") {
     CHECK(scene_from_views({a, again}, {}, rpc::HeightRange{0, 40}).scene.views[1].name == "a_2");
   }
   SUBCASE("refusals name the files") {
-    CHECK(refusal({a}) == "reconstruct: 1 image, wanted two or more");
-    CHECK(refusal({}) == "reconstruct: 0 images, wanted two or more");
+    CHECK(refusal({a}) == "reconstruct: " + a.string() + " is the only image, wanted two or more");
+    CHECK(refusal({}) == "reconstruct: no image, wanted two or more");
+    CHECK(refusal({a, b, a}) ==
+          "reconstruct: " + a.string() + " and " + a.string() +
+              " are seen from one direction (parallax 0 px/m), wanted different ones; leave one of "
+              "them out");
     const fs::path near = folder.image("near.tif", camera(60, 40, 0.5, 20.01));  // 1.1 km east
     CHECK(refusal({a, b, near}) ==
           "reconstruct: " + a.string() + " and " + near.string() +
@@ -134,6 +138,27 @@ TEST_CASE("scene_from_views") {
     const fs::path far = folder.image("far.tif", camera(60, 40, 0.5, -100));
     CHECK(refusal({a, far}) == "reconstruct: " + a.string() + " and " + far.string() +
                                    " do not overlap on the ground, wanted images of one place");
+  }
+  SUBCASE("images in which nothing can be found again") {
+    rpc::write_rpc_geotiff(folder.path / "flat.tif", Tensor({1, 40, 60}, 90.f),
+                           rpc::PixelType::uint8, camera(60, 40, 0.5));
+    CHECK(refusal({a, folder.path / "flat.tif"}) ==
+          (folder.path / "flat.tif").string() +
+              ": the same grey everywhere, wanted an image with texture to compare");
+    rpc::write_rpc_geotiff(folder.path / "slim.tif", Tensor({1, 40, 1}, 90.f),
+                           rpc::PixelType::uint8, camera(1, 40, 0.5));
+    CHECK(refusal({a, folder.path / "slim.tif"}) ==
+          (folder.path / "slim.tif").string() + ": 1 x 40 px, wanted at least 16 x 16");
+  }
+  SUBCASE("a wanted range is one of the cameras") {  // which are made for -80 to 120 m
+    const auto told = [&](double low, double high) { return refusal({a, b}, {low, high}); };
+    CHECK(told(-100, 200) == "accepted");
+    CHECK(told(200, 300) == "--height-range: 200 to 300 m, wanted heights that the camera of " +
+                                a.string() + " is made for, -80 to 120 m");
+    CHECK(told(-80, 1000).ends_with("is made for, -80 to 120 m"));
+    // 100 m up, images of 20 m that part by half a pixel a metre have nothing in common
+    CHECK(told(99, 101).find("see no common ground at these heights (they do at ") !=
+          std::string::npos);
   }
   SUBCASE("cameras for different heights") {
     rpc::Rpc high = camera(60, 40, 0.5);  // the same ground, told to lie at 4000 m

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/memory.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/var.h"
 #include "satsurf/rpc/raster.h"
@@ -28,6 +29,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+constexpr double kWorstFit = 0.1;  // px, of a camera by its quadratics; more shows in the heights
 
 /// Camera of a whole image in the frame of the surfels, over the heights they have.
 Quadratic camera_of(const rpc::Rpc& rpc, const rpc::LocalFrame& frame, Index width, Index height,
@@ -65,6 +67,29 @@ double mean_of(const Tensor& t) {
   return sum / n;
 }
 
+/// throws Error for a picture that is too large to render
+void check_cells(const std::string& where, Index width, Index height, const char* hint) {
+  constexpr Index kLargest = 1 << 28;  // a GeoTIFF of 1 GB
+  if (height > kLargest / width)
+    throw Error(where + std::to_string(width) + " x " + std::to_string(height) +
+                " pixels to render, wanted fewer than " + std::to_string(kLargest) + hint);
+}
+
+void print_plan(const ReconstructPlan& plan, const UserScene& user) {
+  const rpc::LocalFrame& frame = user.scene.frame;
+  std::printf("height range  %.1f to %.1f m above the ellipsoid, %s\n", user.range.range.low,
+              user.range.range.high, user.range.source.c_str());
+  std::printf("ground        EPSG:%d, east %.0f to %.0f, north %.0f to %.0f (%.0f m x %.0f m)\n",
+              frame.zone.epsg(), plan.ground.x0 + frame.easting0, plan.ground.x1 + frame.easting0,
+              plan.ground.y0 + frame.northing0, plan.ground.y1 + frame.northing0,
+              plan.ground.width(), plan.ground.height());
+  std::printf("surface       %td x %td cells of %g m\n", plan.width, plan.height, plan.step);
+  std::printf("tiles         %zu, each with %zu windows of %td x %td px\n", plan.tiles.size(),
+              user.scene.views.size(), plan.window, plan.window);
+  std::printf("memory        about %s; %s are free\n", memory_text(plan.memory_bytes).c_str(),
+              memory_text(static_cast<double>(available_memory())).c_str());
+}
+
 void write_pictures(const OutputFolder& folder, const Reconstruction& made, const Scene& scene,
                     Progress& progress) {
   fs::create_directories(folder / "views");
@@ -74,6 +99,7 @@ void write_pictures(const OutputFolder& folder, const Reconstruction& made, cons
       {"confidence.png", [&] { return confidence_picture(made.confidence); }}};
   for (std::size_t i = 0; i < scene.views.size(); ++i) {
     progress.update("pictures", static_cast<double>(i) / static_cast<double>(scene.views.size()));
+    if (interrupted()) throw Interrupted{};
     const SceneView& view = scene.views[i];
     const Index H = view.rgb.dim(1), W = view.rgb.dim(2);
     const auto render = nn::render_view(
@@ -84,6 +110,7 @@ void write_pictures(const OutputFolder& folder, const Reconstruction& made, cons
   }
   // Compression takes as long as rendering, and one picture knows nothing of the other.
   for_each_index(static_cast<Index>(pictures.size()), [&](Index i) {
+    if (interrupted()) throw Interrupted{};
     const auto& [name, picture] = pictures[static_cast<std::size_t>(i)];
     write_png(folder / name, picture());
   });
@@ -145,10 +172,16 @@ rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
 }
 
 void run_reconstruct(const ReconstructCommand& options) {
-  if (options.height_range && !(options.height_range->low < options.height_range->high))
-    throw ConfigError("--height-range: " + std::to_string(options.height_range->low) + " " +
-                      std::to_string(options.height_range->high) +
-                      ", wanted the lower height first");
+  constexpr double kLeastSpan = 1;  // m; less holds no surface
+  if (const auto& range = options.height_range;
+      range && !(range->high - range->low >= kLeastSpan)) {
+    char text[120];
+    std::snprintf(text, sizeof text,
+                  "--height-range: %.10g %.10g, wanted the lower height first and a span of at "
+                  "least %g m",
+                  range->low, range->high, kLeastSpan);
+    throw ConfigError(text);
+  }
   const NoGrad no_grad;
   const fs::path weights = find_weights(options.weights);
   std::vector<fs::path> inputs{weights};
@@ -158,7 +191,9 @@ void run_reconstruct(const ReconstructCommand& options) {
   }
   std::vector<fs::path> apart = inputs;
   apart.insert(apart.end(), options.image_dirs.begin(), options.image_dirs.end());
-  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, std::move(apart));
+  std::optional<OutputFolder> staged;
+  if (!options.dry_run)
+    staged.emplace(OutputFolder::staged(options.out, options.overwrite, std::move(apart)));
   const nn::Model model = load_model(weights);
   nlohmann::json config{{"images", options.images},
                         {"image_dirs", options.image_dirs},
@@ -167,12 +202,17 @@ void run_reconstruct(const ReconstructCommand& options) {
   if (options.height_range)
     config["height_range"] = {options.height_range->low, options.height_range->high};
   RunRecord record("reconstruct", config, 0);
-  for (const fs::path& file : inputs) record.add_input(file);
+  if (!options.dry_run)
+    for (const fs::path& file : inputs) record.add_input(file);
 
   Progress progress(options.quiet);
   progress.update("read", 0);
-  const UserScene user = scene_from_views(options.images, options.image_dirs, options.height_range);
-  if (interrupted()) throw Interrupted{};
+  const auto poll = [] {
+    if (interrupted()) throw Interrupted{};
+  };
+  const UserScene user =
+      scene_from_views(options.images, options.image_dirs, options.height_range, poll);
+  poll();
   const Scene& scene = user.scene;
   char text[256];
   std::snprintf(text, sizeof text, "height range %.1f to %.1f m above the ellipsoid, %s",
@@ -183,12 +223,21 @@ void run_reconstruct(const ReconstructCommand& options) {
   ReconstructOptions how;
   how.resolution = options.resolution;
   how.progress = [&](const std::string& stage, double fraction) {
-    if (interrupted()) throw Interrupted{};
+    poll();
     progress.update(stage, fraction);
   };
+  if (options.dry_run) return print_plan(plan_reconstruction(model.config(), scene, how), user);
+  OutputFolder& folder = *staged;
   const Reconstruction made = reconstruct(model, scene, how);
   const double seconds =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  if (made.camera_fit_max_px > kWorstFit) {
+    std::snprintf(text, sizeof text,
+                  "note: cameras were fitted to %.2f px only, wanted %.1f; the images may be too "
+                  "large or the height range too wide",
+                  made.camera_fit_max_px, kWorstFit);
+    progress.note(text);
+  }
 
   progress.update("write", 0);
   write_field(folder / "dsm.tif", made.dsm.z, made.dsm, scene.frame, scene.frame.h0,
@@ -207,10 +256,13 @@ void run_reconstruct(const ReconstructCommand& options) {
   const double z_low = known.empty() ? kNan : *low + scene.frame.h0,
                z_high = known.empty() ? kNan : *high + scene.frame.h0;
   const Index H = made.dsm.z.dim(0), W = made.dsm.z.dim(1), surfels = made.surfels.means.dim(0);
-  if (known.empty())
-    throw Error(
-        "reconstruct: no cell of the surface got a height, wanted images that agree; see satsurf "
-        "info");
+  if (known.empty()) {
+    std::string names;
+    for (const fs::path& file : options.images)
+      names += (names.empty() ? "" : ", ") + file.string();
+    throw Error("reconstruct: no cell of the surface got a height from " + names +
+                ", wanted images that agree; see satsurf info");
+  }
   record.results() = {{"completeness", made.completeness},
                       {"cells", {H, W}},
                       {"resolution", made.dsm.step},
@@ -223,6 +275,8 @@ void run_reconstruct(const ReconstructCommand& options) {
                       {"mean_confidence", mean_of(made.confidence)},
                       {"surfels", surfels},
                       {"tiles", made.tiles},
+                      {"camera_fit_max_px", made.camera_fit_max_px},
+                      {"planned_memory_bytes", made.planned_memory_bytes},
                       {"reconstruct_seconds", seconds}};
   record.save(folder / "run.json");
   folder.commit();
@@ -257,9 +311,14 @@ void run_render(const RenderCommand& options) {
     throw IoError(options.surfels.string() + ": no surfels, wanted a surface");
 
   if (image) {
+    check_cells(options.image.string() + ": ", image->width, image->height, "");
     const auto render = nn::render_view(
         content.surfels, camera_of(*image->rpc, frame, image->width, image->height, z_low, z_high),
         image->height, image->width, 1);
+    const auto alpha = render.alpha.value().values();
+    if (std::none_of(alpha.begin(), alpha.end(), [](float a) { return a > 0.05f; }))
+      throw Error("render: " + options.image.string() + " sees nothing of " +
+                  options.surfels.string() + ", wanted an image of that place");
     Tensor colour = render.colour.value().clone();
     if (png) return write_png(options.out, colour);
     for (float& v : colour.values()) v *= 255;
@@ -273,11 +332,7 @@ void run_render(const RenderCommand& options) {
   const auto H = static_cast<Index>(std::ceil((y_high - y_low) / step)) + 1;
   const HeightField grid{
       {}, std::floor(x_low / step) * step, std::ceil(y_high / step) * step, step};
-  constexpr Index kLargest = 1 << 28;  // cells; a GeoTIFF of 1 GB
-  if (H > kLargest / W)
-    throw Error("render: " + std::to_string(W) + " x " + std::to_string(H) +
-                " cells, wanted fewer than " + std::to_string(kLargest) +
-                "; give a larger --resolution");
+  check_cells("render: ", W, H, "; give a larger --resolution");
   const auto render =
       nn::render_view(content.surfels, nadir_camera(grid.x0, grid.y0, step), H, W, 1);
   if (png) return write_png(options.out, render.colour.value());

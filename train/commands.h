@@ -63,6 +63,7 @@ struct ReconstructCommand {
   std::optional<rpc::HeightRange> height_range;
   double resolution = 0;  ///< m, 0 for the images' own
   bool overwrite = false, quiet = false;
+  bool dry_run = false;  ///< only say what would be done; `out` may be empty
 };
 /// Makes a surface of images: the folder that the README describes.
 void run_reconstruct(const ReconstructCommand& options);

@@ -5,7 +5,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <map>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -19,7 +21,10 @@ constexpr double kUnique = 0.1;      // by which the best height must beat every
 constexpr Index kPatch = (2 * kRadius + 1) * (2 * kRadius + 1);  // px, the least that is believed
 /// Added to the percentiles, m: roofs and gullies smaller than a coarse window.
 constexpr double kMargin = 15;
-constexpr Index kFewest = 100;  // matches that make a range believable
+/// Valid pixels of a window that can be compared.
+constexpr float kWhole = 0.9f * static_cast<float>(kPatch);
+constexpr float kTexture = 1e-5f;  // variance of a window that is not flat
+constexpr Index kFewest = 100;     // matches that make a range believable
 
 /// Luminance at coarse resolution.
 struct Coarse {
@@ -86,10 +91,8 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
   n = box_sum(n), sa = box_sum(sa), sb = box_sum(sb), saa = box_sum(saa), sbb = box_sum(sbb),
   sab = box_sum(sab);
   Tensor out({H, W}, -1.f);
-  // kTexture: variance of a flat window
-  constexpr float kArea = (2 * kRadius + 1) * (2 * kRadius + 1), kTexture = 1e-5f;
   for (Index i = 0; i < H * W; ++i) {
-    if (n[i] < 0.9f * kArea) continue;
+    if (n[i] < kWhole) continue;
     const float ma = sa[i] / n[i], mb = sb[i] / n[i], va = saa[i] / n[i] - ma * ma,
                 vb = sbb[i] / n[i] - mb * mb;
     if (va < kTexture || vb < kTexture) continue;
@@ -170,9 +173,35 @@ std::pair<double, double> believable_span(std::vector<float> heights, double z_l
   return {low, high};
 }
 
+std::string name_of(const SceneView& view) {
+  return view.file.empty() ? view.name : view.file.string();
+}
+
+std::string names_of(const Scene& scene) {
+  std::string text;
+  for (std::size_t i = 0; i < scene.views.size(); ++i)
+    text += (i == 0 ? "" : i + 1 < scene.views.size() ? ", " : " and ") + name_of(scene.views[i]);
+  return text;
+}
+
+/// Windows of an image with enough contrast to be compared.
+Index textured_windows(const Coarse& c) {
+  Tensor product(c.grey.shape());
+  for (Index i = 0; i < c.grey.count(); ++i) product[i] = c.grey[i] * c.grey[i];
+  const Tensor sum = box_sum(c.grey), sum2 = box_sum(product), n = box_sum(c.valid);
+  Index textured = 0;
+  for (Index i = 0; i < c.grey.count(); ++i) {
+    if (n[i] < kWhole) continue;
+    const float mean = sum[i] / n[i];
+    textured += sum2[i] / n[i] - mean * mean >= kTexture ? 1 : 0;
+  }
+  return textured;
+}
+
 }  // namespace
 
-std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high) {
+std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high,
+                                            const std::function<void()>& poll) {
   if (!(z_high > z_low))
     throw ConfigError("height range: " + std::to_string(z_low) + " to " + std::to_string(z_high) +
                       " m, expected a positive span to search");
@@ -180,7 +209,12 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
   for (const SceneView& v : scene.views) largest = std::max({largest, v.rgb.dim(1), v.rgb.dim(2)});
   const Index factor = std::max<Index>(1, (largest + kCoarse - 1) / kCoarse);
   std::vector<Coarse> coarse;
-  for (const SceneView& v : scene.views) coarse.push_back(coarse_of(v, factor));
+  for (const SceneView& v : scene.views) {
+    coarse.push_back(coarse_of(v, factor));
+    if (const Index n = textured_windows(coarse.back()); n < kFewest)
+      throw Error(name_of(v) + ": " + std::to_string(n) + " windows with texture, wanted " +
+                  std::to_string(kFewest) + " or more to compare with the other images");
+  }
 
   const SceneView& reference = scene.views[0];
   const rpc::Window window{0, 0, static_cast<double>(reference.rgb.dim(2)),
@@ -209,6 +243,7 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
   // order.
   constexpr Index kBatch = 16;
   for (Index first = 0; first < steps; first += kBatch) {
+    if (poll) poll();
     const Index batch = std::min(kBatch, steps - first);
     std::vector<Tensor> score(static_cast<std::size_t>(batch));
     const auto height = [&](Index k) {
@@ -245,12 +280,14 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
   for (Index i = 0; i < P; ++i)
     believed[static_cast<std::size_t>(i)] = best[i] >= kAgreement && best[i] - rival[i] >= kUnique;
   std::vector<float> heights = heights_of_patches(where, believed, H, W, static_cast<float>(peak));
-  if (static_cast<Index>(heights.size()) < kFewest)
-    throw Error("height range: only " + std::to_string(heights.size()) +
-                " windows of the images agree anywhere between " +
-                std::to_string(z_low + scene.frame.h0) + " and " +
-                std::to_string(z_high + scene.frame.h0) + " m, expected " +
-                std::to_string(kFewest) + "; give --height-range LOW HIGH");
+  if (static_cast<Index>(heights.size()) < kFewest) {
+    char text[160];
+    std::snprintf(text, sizeof text,
+                  "%zu windows agree at any height from %.0f to %.0f m, wanted %td or more; do the "
+                  "cameras belong to the images?",
+                  heights.size(), z_low + scene.frame.h0, z_high + scene.frame.h0, kFewest);
+    throw Error(names_of(scene) + ": " + text);
+  }
   const auto [low, high] = believable_span(std::move(heights), z_low, z_high);
   return {low - kMargin, high + kMargin};
 }

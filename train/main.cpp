@@ -85,6 +85,19 @@ void print_config(const S& config) {
   std::printf("%s\n", to_json(config).dump(2).c_str());
 }
 
+/// A number within limits; unlike CLI::Range this one refuses NaN.
+CLI::Validator number_within(double low, double high) {
+  return CLI::Validator(
+      [low, high](std::string& text) {
+        double x = 0;
+        char limits[64];
+        std::snprintf(limits, sizeof limits, "%g to %g", low, high);
+        const bool good = CLI::detail::lexical_cast(text, x) && x >= low && x <= high;
+        return good ? std::string() : text + ", wanted a number from " + limits;
+      },
+      "");
+}
+
 /// What one sub-command needs besides its own options.
 struct Common {
   int threads = 0;
@@ -177,8 +190,10 @@ void add_reconstruct(CLI::App& app, Common& common, std::function<void()>& run) 
   c->add_option("images", o.images, "rasters or Sat-NeRF JSON files, two or more")
       ->required()
       ->type_name("IMG");
-  c->add_option("--out", o.out, "folder to make")->required()->type_name("DIR");
+  c->add_option("--out", o.out, "folder to make")->type_name("DIR");
   c->add_flag("--overwrite", o.overwrite, "replace what an earlier run left in that folder");
+  c->add_flag("--dry-run", o.dry_run,
+              "read everything, say ground, cells, tiles and memory, write nothing");
   c->add_option("--image-dir", o.image_dirs, "where else to look for the images JSON files name")
       ->type_name("DIR");
   c->add_option("--weights", o.weights, "network weights [the shipped ones, or SATSURF_WEIGHTS]")
@@ -186,12 +201,14 @@ void add_reconstruct(CLI::App& app, Common& common, std::function<void()>& run) 
   c->add_option("--height-range", range,
                 "heights above the ellipsoid to search [from metadata, else found]")
       ->expected(2)
-      ->type_name("LOW HIGH in m");
+      ->type_name("LOW HIGH in m")
+      ->check(number_within(-12000, 10000));
   c->add_option("--resolution", o.resolution, "cell of the surface [size of a pixel on the ground]")
       ->type_name("number in m")
-      ->check(CLI::Range(0.01, 1000.0).description(""));
+      ->check(number_within(0.01, 1000));
   c->callback([&] {
     o.quiet = common.quiet;
+    if (!o.dry_run && o.out.empty()) throw CLI::RequiredError("--out");
     if (range.size() == 2) o.height_range = rpc::HeightRange{range[0], range[1]};
     run = [] { run_reconstruct(o); };
   });
@@ -268,7 +285,7 @@ void add_render(CLI::App& app, Common& common, std::function<void()>& run) {
   c->add_option("--resolution", o.resolution, "cell of the view from above")
       ->type_name("number in m")
       ->default_str("0.5")
-      ->check(CLI::Range(0.01, 1000.0).description(""));
+      ->check(number_within(0.01, 1000));
   c->add_option(
        "--out", o.out,
        "colours as .png; as .tif the colours with the image's camera, or the heights from above")

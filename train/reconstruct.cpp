@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/reconstruct.h"
 
+#include "satsurf/core/memory.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
 
 #include <algorithm>
 #include <cmath>
+#include <string>
 
 namespace satsurf::train {
 namespace {
@@ -13,13 +16,6 @@ namespace {
 constexpr Index kWholeImage = 1280;  // px; larger images are cut into tiles
 constexpr Index kTile = 768;         // px; keeps the largest volume near 0.3 GB
 constexpr double kAgreement = 2.5;   // m, between the heights two views give one point
-
-/// A rectangle of ground, local m.
-struct Ground {
-  double x0, y0, x1, y1;
-  double width() const { return x1 - x0; }
-  double height() const { return y1 - y0; }
-};
 
 bool inside(const SceneView& view, const rpc::Pixel& p) {
   return p.x >= -0.5 && p.y >= -0.5 && p.x <= static_cast<double>(view.rgb.dim(2)) - 0.5 &&
@@ -80,20 +76,15 @@ std::array<std::array<double, 3>, 2> pixel_jacobian(const Scene& scene, const Sc
 }
 
 /// Network windows and the ground each answers for.
-struct Plan {
-  Index window = 0;  ///< px
-  std::vector<Ground> tiles;
-};
-
-Plan plan_tiles(const Scene& scene, const Ground& ground, double z, Index asked, Index multiple) {
+void plan_tiles(ReconstructPlan& plan, const Scene& scene, double z, Index asked, Index multiple) {
+  const Ground& ground = plan.ground;
   const auto round_up = [multiple](Index n) { return (n + multiple - 1) / multiple * multiple; };
   Index largest = 0;
   for (const SceneView& v : scene.views) largest = std::max({largest, v.rgb.dim(1), v.rgb.dim(2)});
-  Plan plan;
   if (asked == 0 && largest <= kWholeImage) {
     plan.window = round_up(largest);
     plan.tiles = {ground};
-    return plan;
+    return;
   }
   plan.window = round_up(asked > 0 ? asked : kTile);
   // The largest ground square that every view's window holds for every height of the range.
@@ -117,7 +108,26 @@ Plan plan_tiles(const Scene& scene, const Ground& ground, double z, Index asked,
                    y = ground.y0 + static_cast<double>(r) * h;
       plan.tiles.push_back({x, y, x + w, y + h});
     }
-  return plan;
+}
+
+/// What the program needs at most: while the network looks at the last window, or while the surface
+/// is rendered.
+double memory_of(const ReconstructPlan& plan, const nn::ModelConfig& model, const Scene& scene) {
+  constexpr double kProgram = 150e6;         // code, libraries and weights
+  constexpr double kKept = 1.2;              // tensors, with freed ones that wait for reuse
+  constexpr double kView = 4, kSurfel = 14;  // floats a pixel, floats a surfel
+  constexpr double kSplat = 45, kMaps = 24;  // floats a surfel, floats a cell, to render
+  const Index views = static_cast<Index>(scene.views.size());
+  const double window = static_cast<double>(plan.window) * static_cast<double>(plan.window) *
+                        static_cast<double>(views);
+  double pixels = 0;
+  for (const SceneView& v : scene.views) pixels += static_cast<double>(v.valid.count());
+  const double cells = static_cast<double>(plan.height) * static_cast<double>(plan.width);
+  const double network =
+      nn::forward_bytes(model, views, plan.window, plan.window) +
+      sizeof(float) * (kView * window + kSurfel * (pixels - std::min(pixels, window)));
+  const double render = sizeof(float) * (kSplat * pixels + kMaps * cells);
+  return kProgram + kKept * (sizeof(float) * kView * pixels + std::max(network, render));
 }
 
 /// Rows of `t` ([P ...]) named by `keep`.
@@ -213,6 +223,33 @@ class Sieve {
   Index H_, W_;
 };
 
+/// Largest residual of all fits of a window, px. Ground distances count by the size of a pixel.
+double worst_fit(const nn::SceneInput& input, double z) {
+  double worst = 0;
+  for (std::size_t i = 0; i < input.sources.size(); ++i) {
+    const nn::View& view = input.sources[i];
+    worst = std::max({worst, view.pixel_from_local.max,
+                      view.local_from_pixel.max / nn::pixel_geometry(view, z, 1).footprint});
+    for (std::size_t j = 0; j < input.sources.size(); ++j)
+      if (i != j) worst = std::max(worst, input.transfer[i][j].max);
+  }
+  return worst;
+}
+
+/// throws Error where the system has less memory than the plan needs
+void check_memory(const ReconstructPlan& plan, const Scene& scene) {
+  const auto available = static_cast<double>(available_memory());
+  // What the images take is taken already.
+  const double held = static_cast<double>(tensor_bytes());
+  if (plan.memory_bytes - held <= available) return;
+  const auto times = [](Index a, Index b) { return std::to_string(a) + " x " + std::to_string(b); };
+  throw Error("reconstruct: " + std::to_string(scene.views.size()) + " windows of " +
+              times(plan.window, plan.window) + " px and a surface of " +
+              times(plan.width, plan.height) + " cells need about " +
+              memory_text(plan.memory_bytes) + " of memory, wanted " + memory_text(available) +
+              " at most; give smaller images or a coarser --resolution");
+}
+
 }  // namespace
 
 Quadratic nadir_camera(double x0, double y0, double step) {
@@ -232,15 +269,13 @@ Tensor surface_heights(const splat::Render& render) {
   return z;
 }
 
-Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
-                           const ReconstructOptions& options) {
-  const NoGrad no_grad;
-  const auto report = [&](const std::string& stage, double fraction) {
-    if (options.progress) options.progress(stage, fraction);
-  };
+ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const Scene& scene,
+                                    const ReconstructOptions& options) {
   const double z = 0.5 * (scene.z_low + scene.z_high);
-  const Ground ground = common_ground(scene, z);
-  const Plan plan = plan_tiles(scene, ground, z, options.tile, nn::size_multiple(model.config()));
+  ReconstructPlan plan;
+  plan.ground = common_ground(scene, z);
+  const Ground& ground = plan.ground;
+  plan_tiles(plan, scene, z, options.tile, nn::size_multiple(model));
 
   double footprint = 0;
   for (const SceneView& v : scene.views)
@@ -248,36 +283,57 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
                                                    0.5 * (ground.y0 + ground.y1), z))
                      .footprint /
                  static_cast<double>(scene.views.size());
+  // The grid starts at a whole multiple of its step, so that runs over one place share their cells.
+  const double step = options.resolution > 0 ? options.resolution : std::round(footprint * 20) / 20;
+  plan.step = step;
+  plan.east = std::floor((ground.x0 + scene.frame.easting0) / step) * step - scene.frame.easting0;
+  plan.north = std::ceil((ground.y1 + scene.frame.northing0) / step) * step - scene.frame.northing0;
+  plan.width = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - plan.east) / step)));
+  plan.height = std::max<Index>(1, static_cast<Index>(std::ceil((plan.north - ground.y0) / step)));
+  plan.memory_bytes = memory_of(plan, model, scene);
+  return plan;
+}
+
+Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
+                           const ReconstructOptions& options) {
+  const NoGrad no_grad;
+  const auto report = [&](const std::string& stage, double fraction) {
+    if (options.progress) options.progress(stage, fraction);
+  };
+  const double z = 0.5 * (scene.z_low + scene.z_high);
+  const ReconstructPlan plan = plan_reconstruction(model.config(), scene, options);
+  const Index W = plan.width, H = plan.height;
+  check_memory(plan, scene);
 
   std::vector<Index> sources(scene.views.size());
   for (std::size_t i = 0; i < sources.size(); ++i) sources[i] = static_cast<Index>(i);
+  Reconstruction out;
   std::vector<splat::Surfels> parts;
   for (std::size_t t = 0; t < plan.tiles.size(); ++t) {
-    report("network", static_cast<double>(t) / static_cast<double>(plan.tiles.size()));
+    const auto poll = [&] {
+      report("network", static_cast<double>(t) / static_cast<double>(plan.tiles.size()));
+    };
+    poll();
     const Ground& tile = plan.tiles[t];
     const Crop crop =
         make_crop(scene, sources, std::nullopt, 0.5 * (tile.x0 + tile.x1),
                   0.5 * (tile.y0 + tile.y1), z, plan.window, scene.z_low, scene.z_high, false);
-    const auto stages = model.forward(crop.input);
+    out.camera_fit_max_px = std::max(out.camera_fit_max_px, worst_fit(crop.input, z));
+    const auto stages = model.forward(crop.input, poll);
+    poll();
     parts.push_back(
         selected(stages[2].surfels,
                  Sieve(crop.input, stages[2]).kept(plan.tiles.size() > 1 ? &tile : nullptr)));
   }
 
-  Reconstruction out;
   out.tiles = static_cast<Index>(plan.tiles.size());
+  out.planned_memory_bytes = plan.memory_bytes;
   out.surfels = joined(parts);
+  report("surface", 0);
+  const auto render =
+      nn::render_view(out.surfels, nadir_camera(plan.east, plan.north, plan.step), H, W, 1);
   report("surface", 1);
-  // The grid starts at a whole multiple of its step, so that runs over one place share their cells.
-  const double step = options.resolution > 0 ? options.resolution : std::round(footprint * 20) / 20;
-  const double east = std::floor((ground.x0 + scene.frame.easting0) / step) * step -
-                      scene.frame.easting0,
-               north = std::ceil((ground.y1 + scene.frame.northing0) / step) * step -
-                       scene.frame.northing0;
-  const Index W = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - east) / step))),
-              H = std::max<Index>(1, static_cast<Index>(std::ceil((north - ground.y0) / step)));
-  const auto render = nn::render_view(out.surfels, nadir_camera(east, north, step), H, W, 1);
-  out.dsm = {surface_heights(render), east, north, step};
+  out.dsm = {surface_heights(render), plan.east, plan.north, plan.step};
   out.confidence = Tensor({H, W}, std::nanf(""));
   Index seen = 0, expected = 0;
   for (Index i = 0; i < H * W; ++i) {
@@ -287,8 +343,8 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
       ++expected;
       continue;
     }
-    const double x = east + (static_cast<double>(i % W) + 0.5) * step,
-                 y = north - (static_cast<double>(i / W) + 0.5) * step;
+    const double x = plan.east + (static_cast<double>(i % W) + 0.5) * plan.step,
+                 y = plan.north - (static_cast<double>(i / W) + 0.5) * plan.step;
     expected += views_seeing(scene, x, y, z) >= 2 ? 1 : 0;
   }
   out.completeness = expected > 0 ? static_cast<double>(seen) / static_cast<double>(expected) : 0;

@@ -16,7 +16,8 @@ struct ReconstructOptions {
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;
-  std::function<void(const std::string& stage, double fraction)> progress;  ///< may be empty
+  /// May be empty, and may throw to stop. Called often, also without progress.
+  std::function<void(const std::string& stage, double fraction)> progress;
 };
 
 /// A surface on a grid and the surfels behind it.
@@ -26,11 +27,37 @@ struct Reconstruction {
   splat::Surfels surfels;  ///< in the local frame
   Index tiles = 0;
   double completeness = 0;  ///< share of the common footprint's cells that got a height
+  /// Largest distance between a camera and the quadratics that stood in for it, px. Above 0.1 it
+  /// begins to show in the heights.
+  double camera_fit_max_px = 0;
+  double planned_memory_bytes = 0;  ///< see ReconstructPlan
 };
+
+/// A rectangle of ground, local m.
+struct Ground {
+  double x0 = 0, y0 = 0, x1 = 0, y1 = 0;
+  double width() const { return x1 - x0; }
+  double height() const { return y1 - y0; }
+};
+
+/// What `reconstruct` is going to do.
+struct ReconstructPlan {
+  Ground ground;                ///< that two views see
+  double east = 0, north = 0;   ///< upper-left corner of the DSM, local m
+  double step = 0;              ///< its cell, m
+  Index height = 0, width = 0;  ///< its cells
+  Index window = 0;             ///< side of the network's windows, px
+  std::vector<Ground> tiles;    ///< what each window answers for
+  double memory_bytes = 0;      ///< of the whole program, within a quarter
+};
+/// Sizes and memory of a reconstruction, before it begins.
+/// throws  Error if fewer than two views see a common ground
+ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const Scene& scene,
+                                    const ReconstructOptions& options);
 
 /// Runs the network over all views of the scene (each is a source) and renders the surface from
 /// above.
-/// throws  Error if fewer than two views see a common ground
+/// throws  Error if fewer than two views see a common ground, or if the memory does not suffice
 Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
                            const ReconstructOptions& options);
 
@@ -47,8 +74,10 @@ Quadratic nadir_camera(double x0, double y0, double step);
 
 /// Height range of a scene that names none: a coarse sweep by normalised correlation of the views.
 /// z_low, z_high  range to search, as a rule the cameras' own, local m
+/// poll           called often, may throw to stop
 /// returns        lowest and highest height, local m
-/// throws         Error if the views do not agree anywhere
-std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high);
+/// throws         Error naming the images that have no texture or do not agree anywhere
+std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high,
+                                            const std::function<void()>& poll = {});
 
 }  // namespace satsurf::train

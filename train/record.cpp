@@ -109,7 +109,12 @@ void RunRecord::save(const std::filesystem::path& path) const {
 }
 
 nlohmann::json load_config(const std::filesystem::path& path) {
-  nlohmann::json j = load_json_file(path);
+  nlohmann::json j;
+  try {
+    j = load_json_file(path);
+  } catch (const IoError& e) {  // what is wrong with a configuration is wrong usage
+    throw ConfigError(e.what());
+  }
   if (j.is_object() && j.value("program", nlohmann::json()) == kProgram && j.contains("config"))
     return j["config"];
   return j;

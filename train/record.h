@@ -50,7 +50,7 @@ class RunRecord {
 };
 
 /// The configuration in a JSON file: the file itself, or the `config` of a run record.
-/// throws  IoError
+/// throws  ConfigError, also where there is no such file
 nlohmann::json load_config(const std::filesystem::path& path);
 
 /// Whether a folder is what simulate, train or reconstruct left: it holds their run.json.

@@ -31,6 +31,12 @@ std::string kilometres(double metres) {
   return text;
 }
 
+std::string span_text(const rpc::HeightRange& range) {
+  char text[80];
+  std::snprintf(text, sizeof text, "%.6g to %.6g m", range.low, range.high);
+  return text;
+}
+
 /// Unique short names for output files: the file's stem, numbered where two are the same.
 std::string view_name(const fs::path& file, const std::vector<SceneView>& taken) {
   const std::string stem = file.stem().string();
@@ -42,15 +48,85 @@ std::string view_name(const fs::path& file, const std::vector<SceneView>& taken)
   return name;
 }
 
+/// Heights a camera was made for.
+rpc::HeightRange box_of(const rpc::Rpc& rpc) {
+  return {rpc.height_off - std::abs(rpc.height_scale), rpc.height_off + std::abs(rpc.height_scale)};
+}
+
 /// Overlap of the heights the cameras were made for; not a range (low >= high) where they share
 /// none.
 rpc::HeightRange camera_range(const std::vector<SceneView>& views) {
   rpc::HeightRange all{-INFINITY, INFINITY};
   for (const SceneView& v : views) {
-    all.low = std::max(all.low, v.rpc.height_off - std::abs(v.rpc.height_scale));
-    all.high = std::min(all.high, v.rpc.height_off + std::abs(v.rpc.height_scale));
+    const rpc::HeightRange box = box_of(v.rpc);
+    all = {std::max(all.low, box.low), std::min(all.high, box.high)};
   }
   return all;
+}
+
+/// throws IoError for an image in which nothing can be found again
+void check_image(const SceneView& view) {
+  constexpr Index kSmallest = 16;  // px; two windows of the coarse comparison
+  constexpr double kFlat = 0.5 / 255;
+  const Index H = view.rgb.dim(1), W = view.rgb.dim(2), P = H * W;
+  if (std::min(H, W) < kSmallest)
+    throw IoError(view.file.string() + ": " + std::to_string(W) + " x " + std::to_string(H) +
+                  " px, wanted at least " + std::to_string(kSmallest) + " x " +
+                  std::to_string(kSmallest));
+  double sum = 0, squares = 0, count = 0;
+  for (Index i = 0; i < P; ++i) {
+    if (view.valid[i] <= 0) continue;
+    const double grey =
+        static_cast<double>(view.rgb[i] + view.rgb[P + i] + view.rgb[2 * P + i]) / 3;
+    sum += grey, squares += grey * grey, count += 1;
+  }
+  if (squares / count - sum / count * sum / count < kFlat * kFlat)
+    throw IoError(view.file.string() +
+                  ": the same grey everywhere, wanted an image with texture to compare");
+}
+
+/// throws ConfigError for a range that lies mostly outside the heights a camera was made for
+void check_wanted(const rpc::HeightRange& wanted, const std::vector<SceneView>& views) {
+  constexpr double kSlack = 200;  // m; a box cut to flat ground still lets a tower be asked for
+  for (const SceneView& v : views) {
+    const rpc::HeightRange box = box_of(v.rpc);
+    const double common = std::min(wanted.high, box.high) - std::max(wanted.low, box.low);
+    if (common > 0 && (common >= 0.5 * (wanted.high - wanted.low) ||
+                       (wanted.low >= box.low - kSlack && wanted.high <= box.high + kSlack)))
+      continue;
+    throw ConfigError("--height-range: " + span_text(wanted) +
+                      ", wanted heights that the camera of " + v.file.string() + " is made for, " +
+                      span_text(box));
+  }
+}
+
+/// throws Error for two images from one point of view, which carry no height
+void check_parallax(const SceneView& a, const SceneView& b, const rpc::UtmZone& zone,
+                    const std::array<double, 2>& ground, double h) {
+  constexpr double kLeast = 1e-3;  // px per m; a tenth of a pixel for a tower of 100 m
+  const auto lon_lat = rpc::geodetic_from_utm(zone, ground[0], ground[1]);
+  const double px = parallax(a.rpc, b.rpc, {lon_lat[0], lon_lat[1], h});
+  if (px >= kLeast) return;
+  char text[32];
+  std::snprintf(text, sizeof text, "%.2g px/m", px);
+  throw Error("reconstruct: " + a.file.string() + " and " + b.file.string() +
+              " are seen from one direction (parallax " + text +
+              "), wanted different ones; leave one of them out");
+}
+
+/// A height among those both cameras are made for at which two images see common ground.
+std::optional<double> height_of_overlap(const SceneView& a, const SceneView& b,
+                                        const rpc::UtmZone& zone) {
+  constexpr int kTried = 65;
+  const rpc::HeightRange box = camera_range({a, b});
+  for (int k = 0; k < kTried && box.low < box.high; ++k) {
+    const double h = box.low + (box.high - box.low) * k / (kTried - 1);
+    const auto ground = [&](const SceneView& v) {
+      return footprint(v.rpc, v.rgb.dim(2), v.rgb.dim(1), zone, h);
+    };
+    if (!intersect(ground(a), ground(b)).empty()) return h;
+  }
+  return std::nullopt;
 }
 
 }  // namespace
@@ -136,16 +212,19 @@ double parallax(const rpc::Rpc& a, const rpc::Rpc& b, const rpc::Geodetic& p) {
 
 UserScene scene_from_views(const std::vector<fs::path>& files,
                            const std::vector<fs::path>& image_dirs,
-                           const std::optional<rpc::HeightRange>& wanted) {
-  if (files.size() < 2)
-    throw Error("reconstruct: " + std::to_string(files.size()) +
-                (files.size() == 1 ? " image" : " images") + ", wanted two or more");
+                           const std::optional<rpc::HeightRange>& wanted,
+                           const std::function<void()>& poll) {
+  if (files.empty()) throw Error("reconstruct: no image, wanted two or more");
+  if (files.size() == 1)
+    throw Error("reconstruct: " + files[0].string() + " is the only image, wanted two or more");
   UserScene out;
   Scene& scene = out.scene;
   std::optional<rpc::HeightRange> named;
   for (const fs::path& file : files) {
+    if (poll) poll();
     const rpc::Image image = rpc::open_view(file, image_dirs);
     SceneView view;
+    view.file = file;
     view.name = view_name(file, scene.views);
     view.rgb = rpc::to_rgb(image);
     view.valid = image.valid;
@@ -158,9 +237,11 @@ UserScene scene_from_views(const std::vector<fs::path>& files,
       named->low = std::min(named->low, range->low),
       named->high = std::max(named->high, range->high);
     }
+    check_image(view);
     scene.views.push_back(std::move(view));
   }
 
+  if (wanted) check_wanted(*wanted, scene.views);
   if (wanted)
     out.range = {*wanted, "as given"};
   else if (named && named->low < named->high)
@@ -196,7 +277,20 @@ UserScene scene_from_views(const std::vector<fs::path>& files,
   for (std::size_t i = 0; i < files.size(); ++i) {
     common = intersect(common, ground[i]);
     for (std::size_t j = i + 1; j < files.size(); ++j) {
-      if (!intersect(ground[i], ground[j]).empty()) continue;
+      if (const Polygon both = intersect(ground[i], ground[j]); !both.empty()) {
+        check_parallax(scene.views[i], scene.views[j], scene.frame.zone, polygon_centroid(both),
+                       usable ? middle : scene.views[i].rpc.height_off);
+        continue;
+      }
+      if (wanted)
+        if (const auto h = height_of_overlap(scene.views[i], scene.views[j], scene.frame.zone)) {
+          char near[32];
+          std::snprintf(near, sizeof near, "%.0f m", *h);
+          throw ConfigError("--height-range: " + span_text(*wanted) + ", but " + files[i].string() +
+                            " and " + files[j].string() +
+                            " see no common ground at these heights (they do at " + near +
+                            "), wanted the heights of the ground");
+        }
       const auto a = polygon_centroid(ground[i]), b = polygon_centroid(ground[j]);
       throw Error("reconstruct: " + files[i].string() + " and " + files[j].string() +
                   " do not overlap on the ground (centres " +
@@ -216,7 +310,7 @@ UserScene scene_from_views(const std::vector<fs::path>& files,
 
   if (!wanted && out.range.source == "of the cameras") {
     const auto [low, high] = find_height_range(scene, out.range.range.low - scene.frame.h0,
-                                               out.range.range.high - scene.frame.h0);
+                                               out.range.range.high - scene.frame.h0, poll);
     out.range = {{low + scene.frame.h0, high + scene.frame.h0}, "found by comparing the images"};
     scene.frame.h0 = std::round((out.range.range.low + out.range.range.high) / 2);
   }

@@ -63,9 +63,13 @@ struct UserScene {
 /// image_dirs  where else to look for the images that JSON files name
 /// wanted      height range; else the one the images' metadata name, else it is searched for with
 ///             `find_height_range`
-/// throws      IoError, Error naming the files
+/// poll        called often, may throw to stop
+/// throws      IoError for a file that cannot be used (missing, too small, without texture),
+///             ConfigError for a wanted range that is not the cameras', Error for images without
+///             overlap or parallax, each naming the files
 UserScene scene_from_views(const std::vector<std::filesystem::path>& files,
                            const std::vector<std::filesystem::path>& image_dirs,
-                           const std::optional<rpc::HeightRange>& wanted);
+                           const std::optional<rpc::HeightRange>& wanted,
+                           const std::function<void()>& poll = {});
 
 }  // namespace satsurf::train

@@ -104,7 +104,12 @@ succeeds "info of weights" "$satsurf" info $weights
 holds "it says what they were trained on" grep -qE "training +24 steps on 2 scenes, seed 9; .*\"crop\":32" stdout
 holds "and by which program" grep -qE "program +satsurf [0-9.]+ \(.+\)" stdout
 
+succeeds "dry run" "$satsurf" reconstruct "${images[@]}" --dry-run --out out --weights $weights --quiet
+holds "it says what would be done" grep -qE "surface +[0-9]+ x [0-9]+ cells" stdout
+holds "it says what that takes" grep -qE "memory +about [0-9.]+ [MG]B" stdout
+holds "it writes nothing" test ! -e out
 succeeds "reconstruct" "$satsurf" reconstruct "${images[@]}" --out out --weights $weights --quiet
+holds "it records how well the cameras were fitted" grep -qE '"camera_fit_max_px": [0-9]' out/run.json
 for file in dsm.tif confidence.tif surfels.ply run.json height.png hillshade.png confidence.png \
   views/SIM_001_001_RGB_render.png views/SIM_001_003_RGB_source.png; do
   holds "reconstruct writes $file" test -s "out/$file"
@@ -144,7 +149,7 @@ holds "with its values" grep -q '"crop": 32' stdout
 echo '{"stepz": 7}' >typo.json
 refuses "unknown key" 2 "typo.json.*stepz.*steps" "$satsurf" train --config typo.json --data data --out no
 echo '{"steps": ' >broken.json
-refuses "malformed configuration" 1 "broken.json" "$satsurf" train --config broken.json --data data --out no
+refuses "malformed configuration" 2 "broken.json" "$satsurf" train --config broken.json --data data --out no
 
 # --- wrong usage: exit code 2 ----------------------------------------------------------------------------------------
 refuses "no command" 2 "--help" "$satsurf"
@@ -158,6 +163,15 @@ refuses "heights the wrong way round" 2 "height-range" "$satsurf" reconstruct "$
 refuses "unknown registration" 2 "xy.*none, z or xyz" "$satsurf" evaluate --dsm $truth --truth $truth --register xy
 refuses "no output folder" 2 "--out" "$satsurf" reconstruct "${images[@]}" --weights $weights
 
+refuses "a resolution that is no number" 2 "resolution.*nan" "$satsurf" reconstruct "${images[@]}" --out no --resolution nan
+refuses "heights that are no number" 2 "height-range.*nan" "$satsurf" reconstruct "${images[@]}" --out no --height-range 0 nan
+refuses "heights without a span" 2 "height-range.*at least 1 m" "$satsurf" reconstruct "${images[@]}" --out no --height-range 20 20.001
+refuses "heights of no camera" 2 "height-range.*SIM_001_001_RGB.tif" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 8000 8100 --quiet
+refuses "angles at odds" 2 "off_nadir_min_deg is 40.*10 of off_nadir_max_deg" "$satsurf" simulate --out no --off_nadir_min_deg 40 --off_nadir_max_deg 10
+refuses "parallax at odds" 2 "parallax_min is 50" "$satsurf" simulate --out no --parallax_min 50 --parallax_max 60
+echo '{"lr": NaN}' >nan.json
+refuses "NaN in a configuration" 2 "nan.json.*expected a JSON value" "$satsurf" train --config nan.json --data data --out no
+
 # --- bad input: exit code 1, the file is named -----------------------------------------------------------------------
 reconstruct() { "$satsurf" reconstruct "$@" --quiet; }
 good=("${images[0]}" "${images[1]}")
@@ -166,14 +180,16 @@ echo "this is not an image" >text.tif
 refuses "not a TIFF" 1 "text.tif" reconstruct "${good[0]}" text.tif --out no --weights $weights
 refuses "info of what is not a TIFF" 1 "text.tif" "$satsurf" info text.tif
 head -c 3000 "${images[2]}" >short.tif
-refuses "truncated TIFF" 1 "short.tif" reconstruct "${good[0]}" short.tif --out no --weights $weights
+refuses "truncated TIFF" 1 "short.tif.*wanted" reconstruct "${good[0]}" short.tif --out no --weights $weights
 : >empty.tif
 refuses "empty file" 1 "empty.tif" reconstruct "${good[0]}" empty.tif --out no --weights $weights
 refuses "no RPC" 1 "dsm.tif.*RPC" reconstruct "${good[0]}" out/dsm.tif --out no --weights $weights
 refuses "missing image" 1 "nowhere.tif" reconstruct "${good[0]}" nowhere.tif --out no --weights $weights
 refuses "no overlap" 1 "SIM_001_001_RGB.tif and .*SIM_002_001_RGB.tif do not overlap" \
   reconstruct "${good[0]}" data/Track3-RGB/SIM_002_001_RGB.tif --out no --weights $weights
-refuses "one image" 1 "1 image, wanted two or more" reconstruct "${good[0]}" --out no --weights $weights
+refuses "one image" 1 "SIM_001_001_RGB.tif is the only image, wanted two or more" reconstruct "${good[0]}" --out no --weights $weights
+refuses "one image twice" 1 "SIM_001_001_RGB.tif and .*SIM_001_001_RGB.tif are seen from one direction" \
+  reconstruct "${good[0]}" "${good[0]}" --out no --weights $weights
 refuses "existing output folder" 1 "out .*--overwrite" reconstruct "${good[@]}" --out out --weights $weights
 refuses "folders made around a failure" 1 "text.tif" reconstruct "${good[0]}" text.tif --out newd/deep/o --weights $weights
 mkdir mydocs indir && echo "years of work" >mydocs/thesis.txt && cp "${good[@]}" indir/
@@ -219,11 +235,12 @@ view() { # NAME SLANT
   "col_den": [1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]}}
 JSON
 }
-raster() { # NAME WHAT: texture, holes (texture with NaN and nodata), nodata or nan
+raster() { # NAME WHAT: texture, flat, holes (texture with NaN and nodata), nodata or nan
   awk -v what="$2" 'BEGIN {
     print "ncols 64\nnrows 64\nxllcorner 0\nyllcorner 0\ncellsize 1\nNODATA_value -1"
     for (i = 0; i < 64; i++) for (j = 0; j < 64; j++) {
       v = int(100 + 60 * sin(i / 3) * cos(j / 2.3) + (i * 37 + j * 61) % 29) + 0.5
+      if (what == "flat") v = 90
       if (what == "nodata" || (what == "holes" && i > 50)) v = -1
       if (what == "nan" || (what == "holes" && j > 50)) v = "nan"
       printf "%s%s", v, j < 63 ? " " : "\n"
@@ -237,6 +254,13 @@ succeeds "NaN and nodata pixels are left out" reconstruct a.json b.json --out ho
 holds "the surface is there" test -s holes/dsm.tif
 refuses "all nodata" 1 "c.asc" reconstruct a.json c.json --out no --weights $weights
 refuses "all NaN" 1 "d.asc" reconstruct a.json d.json --out no --weights $weights
+cat >huge.vrt <<XML
+<VRTDataset rasterXSize="300000" rasterYSize="300000"><VRTRasterBand dataType="Byte" band="1"/></VRTDataset>
+XML
+sed 's/"a.asc", "width": 64, "height": 64/"huge.vrt", "width": 300000, "height": 300000/' a.json >huge.json
+refuses "more pixels than memory" 1 "huge.vrt: 300000 x 300000 px.*memory" reconstruct a.json huge.json --out no --weights $weights
+raster flat flat && sed 's/"b.asc"/"flat.asc"/' b.json >flat.json
+refuses "an image of one grey" 1 "flat.json: the same grey everywhere" reconstruct a.json flat.json --out no --weights $weights
 sed 's/"row_num"/"row_nums"/' b.json >key.json
 refuses "JSON with a wrong key" 1 "key.json.*row_num" reconstruct a.json key.json --out no --weights $weights
 sed 's/"b.asc"/"lost.asc"/' b.json >lost.json
@@ -267,6 +291,13 @@ for name in huge wrap back deep plain; do
   refuses "hostile weights ($name)" 1 "$name.safetensors" reconstruct "${good[@]}" --out no --weights $name.safetensors
 done
 refuses "info of hostile weights" 1 "wrap.safetensors" "$satsurf" info wrap.safetensors
+# The header of real weights with another configuration, and with a parameter that is no number.
+sed -b 's/\\"volume_levels\\":2/\\"volume_levels\\":4/' $weights >levels.safetensors
+refuses "weights of an impossible network" 1 "levels.safetensors: model: 8 hypotheses" \
+  reconstruct "${good[@]}" --out no --weights levels.safetensors
+head -c -4 $weights >nan.safetensors && printf '\x00\x00\xc0\x7f' >>nan.safetensors
+refuses "weights with NaN" 1 "nan.safetensors: parameter .* holds nan" \
+  reconstruct "${good[@]}" --out no --weights nan.safetensors
 refuses "weights that are none" 1 "text.tif" reconstruct "${good[@]}" --out no --weights text.tif
 cp "$satsurf" here # no weights beside it
 refuses "no weights at all" 1 "weights: none found.*--weights" ./here reconstruct "${good[@]}" --out no
@@ -296,9 +327,13 @@ refuses "resume without a checkpoint" 1 "checkpoint.safetensors" "$satsurf" trai
 mkdir -p bare/Track3-RGB && cp data/Track3-RGB/SIM_001* bare/Track3-RGB/
 refuses "training without truth" 1 "SIM_001.*_DSM.tif" "$satsurf" train --data bare --out no "${tiny[@]}"
 refuses "evaluating without truth" 1 "SIM_001_DSM.tif" "$satsurf" evaluate --data bare --weights $weights --quiet
+mkdir -p eogs/images && cp -r bare/Track3-RGB eogs/images/S
+refuses "EOGS without truth" 1 "eogs/truth/S/S_DSM.tif" "$satsurf" evaluate --data eogs --weights $weights --quiet
 refuses "missing truth" 1 "gone.tif" "$satsurf" evaluate --dsm out/dsm.tif --truth gone.tif
 refuses "truth of another place" 1 "SIM_002_DSM.tif" "$satsurf" evaluate --dsm out/dsm.tif --truth data/Track3-Truth/SIM_002_DSM.tif
 head -c 500 out/surfels.ply >short.ply
+refuses "a view of another place" 1 "SIM_002_001_RGB.tif sees nothing of out/surfels.ply" \
+  "$satsurf" render --surfels out/surfels.ply --image data/Track3-RGB/SIM_002_001_RGB.tif --out no.png
 refuses "truncated surfels" 1 "short.ply" "$satsurf" render --surfels short.ply --nadir --out no.png
 refuses "surfels that are none" 1 "text.tif" "$satsurf" render --surfels text.tif --nadir --out no.png
 
