@@ -75,8 +75,9 @@ Tensor mask_of(const EvaluateDsmOptions& options, const DsmPair& pair) {
 
 /// throws IoError if two results would go into one file
 void check_distinct(const std::pair<fs::path, fs::path>& files) {
-  if (!files.first.empty() && fs::weakly_canonical(fs::absolute(files.first)) ==
-                                  fs::weakly_canonical(fs::absolute(files.second)))
+  if (files.first.empty() || files.second.empty()) return;
+  if (fs::weakly_canonical(fs::absolute(files.first)) ==
+      fs::weakly_canonical(fs::absolute(files.second)))
     throw IoError(files.first.string() + ": named for two results, wanted two names");
 }
 

@@ -129,6 +129,8 @@ done
 succeeds "evaluate the truth" "$satsurf" evaluate --dsm $truth --truth $truth
 holds "the truth is right" grep -qE "raw +MAE +0.000 m" stdout
 succeeds "evaluate a data set" "$satsurf" evaluate --data data --weights $weights --json all.json --csv all.csv --quiet
+succeeds "evaluate a data set, table only" "$satsurf" evaluate --data data --weights $weights --csv only.csv --quiet
+holds "the same table" cmp <(cut -d, -f1-16 all.csv) <(cut -d, -f1-16 only.csv)
 for read in $weights $truth data/Track3-RGB/SIM_002_004_RGB.tif; do
   holds "it records that it read $read" grep -qF "\"path\": \"$read\"" all.json
 done
