@@ -14,7 +14,7 @@ namespace {
 namespace fs = std::filesystem;
 
 std::string image_name(const std::string& scene, std::size_t view) {
-  std::array<char, 16> number{};
+  std::array<char, 32> number{};  // the longest number takes 26
   std::snprintf(number.data(), number.size(), "_%03zu_RGB", view + 1);
   return scene + number.data();
 }
