@@ -9,7 +9,8 @@ shift
 
 # openimageio-tools: libopenimageio-dev's CMake file insists on the programs too.
 packages=(g++ cmake ninja-build pkg-config libeigen3-dev libtbb-dev libxsimd-dev nlohmann-json3-dev libgdal-dev
-  libopenimageio-dev openimageio-tools libcli11-dev libbenchmark-dev doctest-dev)
+  libopenimageio-dev openimageio-tools libcli11-dev libspdlog-dev libbenchmark-dev
+  doctest-dev)
 missing=()
 for package in "${packages[@]}"; do
   dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")

@@ -109,7 +109,7 @@ TEST_CASE("tensor: bytes in use are counted, and blocks come back") {
   release_tensor_cache();
   const std::size_t before = tensor_bytes();
   reset_peak_tensor_bytes();
-  const void* address = nullptr;
+  [[maybe_unused]] const void* address = nullptr;
   constexpr Index kCount = 50'000;  // 200 000 bytes: large enough to be kept
   {
     const Tensor t({kCount});

@@ -205,7 +205,7 @@ void run_reconstruct(const ReconstructCommand& options) {
   if (!options.dry_run)
     for (const fs::path& file : inputs) record.add_input(file);
 
-  Progress progress(options.quiet);
+  Progress progress;
   progress.update("read", 0);
   const auto poll = [] {
     if (interrupted()) throw Interrupted{};
@@ -233,10 +233,10 @@ void run_reconstruct(const ReconstructCommand& options) {
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   if (made.camera_fit_max_px > kWorstFit) {
     std::snprintf(text, sizeof text,
-                  "note: cameras were fitted to %.2f px only, wanted %.1f; the images may be too "
+                  "cameras were fitted to %.2f px only, wanted %.1f; the images may be too "
                   "large or the height range too wide",
                   made.camera_fit_max_px, kWorstFit);
-    progress.note(text);
+    progress.note(text, LogLevel::warning);
   }
 
   progress.update("write", 0);

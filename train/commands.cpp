@@ -40,11 +40,12 @@ void print_scores(const char* title, const HeightScores& s) {
 void warn_of_datum(const HeightScores& s) {
   // geoid heights are up to 107 m, biases of a reconstruction a few
   constexpr double kSuspicious = 8;
-  if (std::abs(s.median) > kSuspicious && s.nmad < std::abs(s.median) / 3)
-    std::fprintf(
-        stderr,
-        "note: the heights differ by %.1f m nearly everywhere; is one of them above the geoid?\n",
-        s.median);
+  if (std::abs(s.median) <= kSuspicious || s.nmad >= std::abs(s.median) / 3) return;
+  char text[128];
+  std::snprintf(text, sizeof text,
+                "the heights differ by %.1f m nearly everywhere; is one of them above the geoid?",
+                s.median);
+  log_line(LogLevel::warning, text);
 }
 
 /// The true cells that count; empty for all.
@@ -104,7 +105,7 @@ void run_simulate(const SimulateOptions& options) {
   RunRecord record("simulate", to_json(config), config.seed);
   config.heights = false;  // per-pixel heights are not written
   OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, {options.config_file});
-  Progress progress(options.quiet);
+  Progress progress;
   for (Index i = 0; i < config.scenes; ++i) {
     if (interrupted()) throw Interrupted{};
     progress.update("simulate", static_cast<double>(i) / static_cast<double>(config.scenes));
@@ -129,7 +130,7 @@ void run_train(const TrainOptions& options) {
           ? OutputFolder::in_place(options.out)
           : OutputFolder::staged(options.out, options.overwrite,
                                  {options.data, options.config.init, options.config_file});
-  Progress progress(options.quiet);
+  Progress progress;
   StepReport last;
   list_scenes(options.data);  // a wrong folder is told before its files are read
   RunRecord record("train", to_json(options.config), options.seed);
@@ -207,11 +208,11 @@ void run_evaluate_dsm(const EvaluateDsmOptions& options) {
 
 void run_evaluate_data(const EvaluateDataOptions& options) {
   const fs::path weights = find_weights(options.weights);
-  check_output_file("--json", options.json, options.overwrite, {weights});
-  check_output_file("--csv", options.csv, options.overwrite, {weights});
+  check_output_file("--json", options.json, options.overwrite, {weights, options.data});
+  check_output_file("--csv", options.csv, options.overwrite, {weights, options.data});
   check_distinct({options.csv, options.json});
   const nn::Model model = load_model(weights);
-  Progress progress(options.quiet);
+  Progress progress;
   EvaluateOptions how;
   how.views = options.views;
   how.registration = registration_from(options.registration);

@@ -40,7 +40,7 @@ void run_info(const InfoOptions& options);
 struct SimulateOptions {
   std::filesystem::path out, config_file;  ///< config_file may be empty
   SimulateConfig config;
-  bool overwrite = false, quiet = false;
+  bool overwrite = false;
 };
 /// Makes up scenes and writes them in the layout of DFC2019.
 void run_simulate(const SimulateOptions& options);
@@ -50,7 +50,7 @@ struct TrainOptions {
   std::filesystem::path data, out, config_file;  ///< config_file may be empty
   TrainConfig config;
   std::uint64_t seed = 0;
-  bool overwrite = false, resume = false, quiet = false;
+  bool overwrite = false, resume = false;
 };
 /// Trains a network on a data set.
 /// throws  Interrupted after saving a checkpoint
@@ -62,7 +62,7 @@ struct ReconstructCommand {
   std::filesystem::path out, weights;  ///< weights may be empty: the shipped ones
   std::optional<rpc::HeightRange> height_range;
   double resolution = 0;  ///< m, 0 for the images' own
-  bool overwrite = false, quiet = false;
+  bool overwrite = false;
   bool dry_run = false;  ///< only say what would be done; `out` may be empty
 };
 /// Makes a surface of images: the folder that the README describes.
@@ -84,7 +84,7 @@ struct EvaluateDataOptions {
   std::filesystem::path data, weights, json, csv;  ///< the last three may be empty
   std::string registration = "none";
   Index views = 3;
-  bool mask_water = true, overwrite = false, quiet = false;
+  bool mask_water = true, overwrite = false;
 };
 /// Scores a network on a data set.
 void run_evaluate_data(const EvaluateDataOptions& options);

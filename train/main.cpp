@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/fields_json.h"
+#include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/config.h"
 #include "satsurf/train/commands.h"
+#include "satsurf/train/log.h"
 #include "satsurf/train/record.h"
 
 #include <cstdio>
 #include <deque>
+#include <filesystem>
 #include <functional>
 #include <iostream>
 #include <new>
@@ -20,12 +23,7 @@ namespace {
 
 enum ExitCode { kDone = 0, kFailed = 1, kUsage = 2, kSignal = 128 };
 
-/// Errors are one line each, whatever a library put into them.
-void complain(std::string text) {
-  for (char& c : text)
-    if (c == '\n' || c == '\r') c = ' ';
-  std::fprintf(stderr, "satsurf: %s\n", text.c_str());
-}
+void complain(const std::string& text) { log_line(LogLevel::error, text); }
 
 /// Flags for every field of a configuration struct, and the order of precedence: flags, then
 /// --config, then defaults.
@@ -102,6 +100,8 @@ CLI::Validator number_within(double low, double high) {
 struct Common {
   int threads = 0;
   bool quiet = false;
+  std::string log_level = "info";
+  std::filesystem::path log_file;
 };
 
 CLI::App* add_command(CLI::App& app, Common& common, const std::string& name,
@@ -111,7 +111,16 @@ CLI::App* add_command(CLI::App& app, Common& common, const std::string& name,
       ->type_name("N")
       ->capture_default_str()
       ->check(CLI::Range(0, 4096).description(""));
-  command->add_flag("--quiet", common.quiet, "no progress on stderr");
+  command->add_flag("--quiet", common.quiet, "nothing but warnings and errors on stderr");
+  command
+      ->add_option("--log-level", common.log_level,
+                   "what to tell: error, warning, info (progress) or debug (times)")
+      ->type_name("LEVEL")
+      ->capture_default_str();
+  command
+      ->add_option("--log-file", common.log_file,
+                   "add the messages, each with its time, to the end of this file")
+      ->type_name("FILE");
   return command;
 }
 
@@ -136,7 +145,7 @@ void add_simulate(CLI::App& app, Common& common, std::function<void()>& run) {
   c->add_flag("--overwrite", o.overwrite, "replace what an earlier run left in that folder");
   static ConfigFlags<SimulateConfig> flags(*c, {});
   c->callback([&, c] {
-    o.quiet = common.quiet, o.config_file = flags.file();
+    o.config_file = flags.file();
     o.config = flags.effective(
         {}, "simulate", [](auto&, auto&) {}, [](auto&, auto&) {});
     if (!flags.print() && o.out.empty()) throw CLI::RequiredError("--out");
@@ -164,7 +173,7 @@ void add_train(CLI::App& app, Common& common, std::function<void()>& run) {
   defaults.model = nn::model_preset(defaults.preset);
   static ConfigFlags<TrainConfig> flags(*c, defaults);
   c->callback([&, defaults] {
-    o.quiet = common.quiet, o.config_file = flags.file();
+    o.config_file = flags.file();
     const auto apply_preset = [](TrainConfig& t) { t.model = nn::model_preset(t.preset); };
     o.config = flags.effective(
         defaults, "train",
@@ -207,7 +216,6 @@ void add_reconstruct(CLI::App& app, Common& common, std::function<void()>& run) 
       ->type_name("number in m")
       ->check(number_within(0.01, 1000));
   c->callback([&] {
-    o.quiet = common.quiet;
     if (!o.dry_run && o.out.empty()) throw CLI::RequiredError("--out");
     if (range.size() == 2) o.height_range = rpc::HeightRange{range[0], range[1]};
     run = [] { run_reconstruct(o); };
@@ -262,8 +270,8 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
   c->callback([&, dsm, truth, data] {
     if (data->count() == 0 && (dsm->count() == 0 || truth->count() == 0))
       throw CLI::RequiredError("--dsm and --truth, or --data");
-    s.registration = d.registration, s.json = d.json, s.quiet = common.quiet,
-    s.mask_water = !keep_water, s.overwrite = d.overwrite;
+    s.registration = d.registration, s.json = d.json, s.mask_water = !keep_water,
+    s.overwrite = d.overwrite;
     run = [] { s.data.empty() ? run_evaluate_dsm(d) : run_evaluate_data(s); };
   });
 }
@@ -296,6 +304,14 @@ void add_render(CLI::App& app, Common& common, std::function<void()>& run) {
     if (image->count() == 0 && above->count() == 0) throw CLI::RequiredError("--image or --nadir");
     run = [] { run_render(o); };
   });
+}
+
+/// What ran, for whoever reads the log alone.
+void log_command(int argc, char** argv) {
+  std::string text = std::string(program_version()) + " (" + program_git_hash() + "), " +
+                     isa_name(active_isa()) + ", " + std::to_string(threads()) + " threads:";
+  for (int i = 0; i < argc; ++i) text += std::string(" ") + argv[i];
+  log_line(LogLevel::debug, text);
 }
 
 int run_program(int argc, char** argv) {
@@ -334,7 +350,9 @@ int run_program(int argc, char** argv) {
     complain(std::string(e.what()) + "; see satsurf --help");
     return kUsage;
   }
+  open_log(common.log_level, common.quiet, common.log_file);
   set_threads(common.threads);
+  log_command(argc, argv);
   catch_interrupts();
   run();
   if (std::fflush(stdout) != 0) throw IoError("stdout: cannot be written");

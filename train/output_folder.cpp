@@ -164,9 +164,13 @@ void check_output_file(const std::string& flag, const fs::path& file, bool overw
   const std::string where = flag + ": " + file.string();
   std::error_code code;
   if (fs::is_directory(file, code)) throw IoError(where + " is a folder, wanted a file");
-  for (const fs::path& input : inputs)
-    if (!input.empty() && fs::equivalent(file, input, code))
+  for (const fs::path& input : inputs) {
+    if (input.empty() || !fs::exists(file, code)) continue;
+    if (fs::equivalent(file, input, code))
       throw IoError(where + " is an input, wanted another name");
+    if (fs::is_directory(input, code) && holds(resolved(input), resolved(file)))
+      throw IoError(where + " is a file of the input " + input.string() + ", wanted another name");
+  }
   if (fs::exists(file, code) && !overwrite) throw IoError(where + " exists; use --overwrite");
   // the folder around it, or the one to make that in
   fs::path folder = fs::absolute(file).parent_path();

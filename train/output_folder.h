@@ -51,8 +51,8 @@ class OutputFolder {
 
 /// Looks at a file before the work that ends in it.
 /// flag    what asked for it, e.g. `--json`; an empty name is passed over
-/// inputs  files the run reads; none may be the file
-/// throws IoError: `--json: FILE exists; use --overwrite`; also if it is an input, a folder, or
+/// inputs  files and folders the run reads; the file may not be one, nor one of theirs
+/// throws IoError: `--json: FILE exists; use --overwrite`; also if it is an input or a folder, or
 /// cannot be written where it is
 void check_output_file(const std::string& flag, const std::filesystem::path& file, bool overwrite,
                        const std::vector<std::filesystem::path>& inputs);

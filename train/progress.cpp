@@ -49,41 +49,46 @@ std::string progress_line(const std::string& stage, double fraction, const std::
   return line.substr(0, static_cast<std::size_t>(std::max(columns, 1)));
 }
 
-Progress::Progress(bool quiet)
-    : quiet_(quiet), terminal_(isatty(STDERR_FILENO) == 1), last_(Clock::now()) {}
+Progress::Progress()
+    : terminal_(isatty(STDERR_FILENO) == 1), last_drawn_(Clock::now()), last_line_(last_drawn_) {}
 
-Progress::~Progress() {
+Progress::~Progress() { end_stage(Clock::now()); }
+
+void Progress::end_stage(Clock::time_point now) {
   if (drawn_) std::fputc('\n', stderr);
+  drawn_ = false;
+  if (stage_.empty()) return;
+  char text[64];
+  std::snprintf(text, sizeof text, ": %.2f s", seconds_between(stage_start_, now));
+  log_line(LogLevel::debug, stage_ + text);
 }
 
 void Progress::update(const std::string& stage, double fraction, const std::string& detail) {
-  if (quiet_) return;
   const Clock::time_point now = Clock::now();
   const bool new_stage = stage != stage_;
   if (new_stage) {
-    if (drawn_) std::fputc('\n', stderr);
-    drawn_ = false, stage_ = stage, stage_start_ = now;
+    end_stage(now);
+    stage_ = stage, stage_start_ = now;
   }
-  // a log gets lines only from work that takes a while
-  const bool due = seconds_between(last_, now) >= (terminal_ ? kDrawEvery : kLineEvery);
-  if (!due && !(terminal_ && (new_stage || fraction >= 1))) return;
-  last_ = now;
   const double seconds = seconds_between(stage_start_, now);
-  if (terminal_) {
-    std::fprintf(stderr, "\r\033[K%s",
-                 progress_line(stage, fraction, detail, seconds, terminal_columns() - 1).c_str());
-    std::fflush(stderr);
-    drawn_ = true;
-  } else {
-    std::fprintf(stderr, "%s\n", progress_line(stage, fraction, detail, seconds, 200).c_str());
+  // a log gets lines only from work that takes a while
+  if (seconds_between(last_line_, now) >= kLineEvery) {
+    last_line_ = now;
+    log_line(LogLevel::info, progress_line(stage, fraction, detail, seconds, 200), !terminal_);
   }
+  const bool due = seconds_between(last_drawn_, now) >= kDrawEvery || new_stage || fraction >= 1;
+  if (!terminal_ || !due || !stderr_shows(LogLevel::info)) return;
+  last_drawn_ = now;
+  std::fprintf(stderr, "\r\033[K%s",
+               progress_line(stage, fraction, detail, seconds, terminal_columns() - 1).c_str());
+  std::fflush(stderr);
+  drawn_ = true;
 }
 
-void Progress::note(const std::string& text) {
-  if (quiet_) return;
+void Progress::note(const std::string& text, LogLevel level) {
   if (drawn_) std::fputs("\r\033[K", stderr);
   drawn_ = false;
-  std::fprintf(stderr, "%s\n", text.c_str());
+  log_line(level, text);
 }
 
 }  // namespace satsurf::train

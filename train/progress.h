@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/train/log.h"
+
 #include <chrono>
 #include <string>
 
 namespace satsurf::train {
 
-/// Tells on stderr how far a long piece of work is: one bar that redraws itself on a terminal, else
-/// a line every few seconds. Nothing at all when quiet.
+/// Tells how far a long piece of work is: on a terminal one bar that redraws itself, elsewhere a
+/// line of the log every few seconds. At level debug the log says how long each stage took.
 class Progress {
  public:
-  explicit Progress(bool quiet);
+  Progress();
   /// Ends the bar, so that what follows starts on its own line.
   ~Progress();
   Progress(const Progress&) = delete;
@@ -20,14 +22,16 @@ class Progress {
   /// fraction  in [0, 1] of that stage
   /// detail    anything worth a few words: a loss, a count
   void update(const std::string& stage, double fraction, const std::string& detail = {});
-  /// A remark on a line of its own, for instance a warning.
-  void note(const std::string& text);
+  /// A finding or a warning, on a line of its own.
+  void note(const std::string& text, LogLevel level = LogLevel::info);
 
  private:
   using Clock = std::chrono::steady_clock;
-  bool quiet_, terminal_, drawn_ = false;
+  void end_stage(Clock::time_point now);
+
+  bool terminal_, drawn_ = false;
   std::string stage_;
-  Clock::time_point stage_start_, last_;
+  Clock::time_point stage_start_, last_drawn_, last_line_;
 };
 
 /// The bar itself: `stage  [####....]  42 %  detail  0:12 left`.

@@ -141,6 +141,24 @@ succeeds "render a view" "$satsurf" render --surfels out/surfels.ply --image "${
 succeeds "a rendered view has a camera" "$satsurf" info view.tif
 holds "namely the image's" grep -q "RPC (TIFF tag)" stdout
 
+# --- what is told, and where -----------------------------------------------------------------------------------------
+told=("$satsurf" reconstruct "${images[@]}" --weights $weights --overwrite --out told)
+succeeds "log to a file" "${told[@]}" --log-level debug --log-file log.txt --quiet
+holds "quiet stderr" test ! -s stderr
+holds "the file names the command" grep -qE "^[0-9-]+T[0-9:.]+[+-][0-9:]+ debug +.*reconstruct.* --out told" log.txt
+holds "the height range" grep -qE " info +height range" log.txt
+holds "and the time of each stage" grep -qE " debug +write: [0-9.]+ s" log.txt
+cp log.txt before.txt
+succeeds "log after what is there" "${told[@]}" --log-level warning --log-file log.txt
+holds "nothing below a warning on stderr" test ! -s stderr
+holds "or in the file" cmp log.txt before.txt
+"$satsurf" info gone.tif --log-file log.txt 2>stderr
+holds "errors go to the file too" grep -qE " error +gone.tif" log.txt
+refuses "unknown level" 2 "log-level: loud, wanted error, warning, info or debug" "$satsurf" info "${images[0]}" --log-level loud
+refuses "log in a missing folder" 1 "gone/log.txt.*no folder gone" "$satsurf" info "${images[0]}" --log-file gone/log.txt
+refuses "scores over a file of the data set" 1 "json: $truth is a file of the input data" \
+  "$satsurf" evaluate --data data --weights $weights --json $truth --overwrite
+
 # --- configuration: flags over file over defaults --------------------------------------------------------------------
 echo '{"steps": 7, "lr": 0.5, "preset": "tiny"}' >config.json
 succeeds "print-config" "$satsurf" train --config config.json --lr 0.25 --print-config
