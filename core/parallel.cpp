@@ -10,7 +10,11 @@
 #include <tbb/task_arena.h>
 
 #if defined(__SANITIZE_THREAD__)
-#include <sanitizer/tsan_interface.h>
+#include <atomic>
+#include <exception>
+#include <thread>
+#include <utility>
+#include <vector>
 #endif
 
 namespace satsurf {
@@ -24,35 +28,32 @@ std::shared_ptr<tbb::task_arena> current_arena() {
   return arena;
 }
 
-/// What TBB guarantees of a loop, told to the thread sanitizer, which cannot see it because TBB is
-/// not compiled with it: what came before the loop happens before each piece, and each piece
-/// before what follows the loop. Nothing orders the pieces among themselves.
-class LoopOrder {
- public:
 #if defined(__SANITIZE_THREAD__)
-  LoopOrder() { __tsan_release(&begin_); }
-  ~LoopOrder() { __tsan_acquire(&end_); }
-  void enter_piece() { __tsan_acquire(&begin_); }
-  void leave_piece() { __tsan_release(&end_); }
-
- private:
-  char begin_ = 0, end_ = 0;  // only their addresses are used
-#else
-  void enter_piece() {}
-  void leave_piece() {}
+/// TBB is not compiled with the thread sanitizer, which therefore sees nothing of the order TBB
+/// guarantees; plain threads it knows. Loops inside loops run where they are.
+void run_on_plain_threads(Index pieces, const std::function<void(Index)>& piece, int threads) {
+  static thread_local bool inside = false;
+  std::atomic<Index> next = 0;
+  std::mutex failure_mutex;
+  std::exception_ptr failure;
+  const auto work = [&] {
+    const bool outer = std::exchange(inside, true);
+    try {
+      for (Index p = next++; p < pieces; p = next++) piece(p);
+    } catch (...) {
+      next = pieces;
+      const std::lock_guard lock(failure_mutex);
+      failure = std::current_exception();
+    }
+    inside = outer;
+  };
+  std::vector<std::thread> workers;
+  for (int i = 1; i < threads && !inside; ++i) workers.emplace_back(work);
+  work();
+  for (std::thread& w : workers) w.join();
+  if (failure) std::rethrow_exception(failure);
+}
 #endif
-};
-
-/// Leaves the piece by an exception too.
-class InPiece {
- public:
-  explicit InPiece(LoopOrder& order) : order_(order) { order_.enter_piece(); }
-  InPiece(const InPiece&) = delete;
-  ~InPiece() { order_.leave_piece(); }
-
- private:
-  LoopOrder& order_;
-};
 
 }  // namespace
 
@@ -69,14 +70,15 @@ int threads() {
 }
 
 void detail::run_pieces(Index pieces, const std::function<void(Index)>& piece) {
+#if defined(__SANITIZE_THREAD__)
+  run_on_plain_threads(pieces, piece, threads());
+#else
   const auto a = current_arena();
-  LoopOrder order;
   const auto loop = [&] {
     // Pieces are already sized by the caller; let TBB balance them one by one.
     tbb::parallel_for(
         tbb::blocked_range<Index>(0, pieces, 1),
         [&](const tbb::blocked_range<Index>& r) {
-          const InPiece in_piece(order);
           for (Index p = r.begin(); p != r.end(); ++p) piece(p);
         },
         tbb::simple_partitioner{});
@@ -85,6 +87,7 @@ void detail::run_pieces(Index pieces, const std::function<void(Index)>& piece) {
     a->execute(loop);
   else
     loop();
+#endif
 }
 
 }  // namespace satsurf

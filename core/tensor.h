@@ -46,8 +46,9 @@ class BasicTensor {
   const T* data() const { return buffer_.get(); }
   T& operator[](Index i) { return buffer_.get()[i]; }
   const T& operator[](Index i) const { return buffer_.get()[i]; }
-  std::span<T> values() { return {data(), static_cast<std::size_t>(count())}; }
-  std::span<const T> values() const { return {data(), static_cast<std::size_t>(count())}; }
+  std::span<T> values() & { return {data(), static_cast<std::size_t>(count())}; }
+  std::span<const T> values() const& { return {data(), static_cast<std::size_t>(count())}; }
+  void values() && = delete;  // the elements would be gone before they are read
   /// The only element.
   /// throws  ShapeError if there are more or fewer
   T item() const;

@@ -578,7 +578,8 @@ TEST_CASE("colours for the network") {
   CHECK(rgb[10] == doctest::Approx(0).epsilon(0.002));
   CHECK(rgb[20] > 0.005);
   image.pixels.fill(7);
-  for (const float v : to_rgb(image).values()) CHECK_FALSE(std::isnan(v));
+  rgb = to_rgb(image);
+  for (const float v : rgb.values()) CHECK_FALSE(std::isnan(v));
   image.valid = Tensor({2, 2});
   CHECK_THROWS_AS(to_rgb(image), ShapeError);
 }
