@@ -2,6 +2,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/conv_engine.h"
 #include "satsurf/ops/conv_slab.h"
+#include "satsurf/ops/conv_winograd.h"
 
 #include <algorithm>
 #include <vector>
@@ -11,7 +12,7 @@ namespace {
 
 constexpr Index kPieces = 16;  // enough for some threads to balance
 
-/// One output phase of each axis, and the kernel positions that reach it.
+/// One output phase of each axis, and the (mixed) kernel's positions that reach it.
 struct PhaseTaps {
   const AxisPhase *z, *y, *x;
   Index first_row, first_column;  ///< first output of the phase
@@ -20,7 +21,7 @@ struct PhaseTaps {
 };
 
 /// Depth, row and column phases nested in this order.
-std::vector<PhaseTaps> list_phases(const Axes& axes, const Geometry& g) {
+std::vector<PhaseTaps> list_phases(const Axes& axes, const std::array<Index, 3>& kernel) {
   std::vector<PhaseTaps> list;
   Index before = 0;
   for (const AxisPhase& z : axes[0].phases)
@@ -30,7 +31,7 @@ std::vector<PhaseTaps> list_phases(const Axes& axes, const Geometry& g) {
         for (const AxisTap& i : z.taps)
           for (const AxisTap& j : y.taps)
             for (const AxisTap& k : x.taps)
-              taps.push_back((i.tap * g.kernel[1] + j.tap) * g.kernel[2] + k.tap);
+              taps.push_back((i.tap * kernel[1] + j.tap) * kernel[2] + k.tap);
         const Index count = static_cast<Index>(taps.size());
         list.push_back({&z, &y, &x, &y - axes[1].phases.data(), &x - axes[2].phases.data(),
                         std::move(taps), before});
@@ -39,7 +40,26 @@ std::vector<PhaseTaps> list_phases(const Axes& axes, const Geometry& g) {
   return list;
 }
 
-/// Where the weight of output channel o and input channel c starts.
+/// G applied to the rows of `count` kernels.
+template <class T>
+BasicTensor<T> mixed_weights(const Geometry& g, const Axis& rows, const T* weight, Index count) {
+  using namespace winograd;
+  const Index KD = g.kernel[0], KW = g.kernel[2];
+  auto mixed = BasicTensor<T>::uninitialised({count, KD, kMixes, KW});
+  for_range(count * KD, std::max<Index>(1, 1024 / KW), [&](Index begin, Index end) {
+    for (Index n = begin; n < end; ++n)
+      for (Index i = 0; i < kMixes; ++i)
+        for (Index k = 0; k < KW; ++k) {
+          double sum = 0;
+          for (std::size_t t = 0; t < kTaps; ++t)
+            sum += kG[i][t] * weight[(n * kTaps + rows.kernel_order[t]) * KW + k];
+          mixed[(n * kMixes + i) * KW + k] = static_cast<T>(sum);
+        }
+  });
+  return mixed;
+}
+
+/// How far the kernels of neighbouring output and input channels are apart, in kernels.
 struct WeightStrides {
   Index o, c;
 };
@@ -51,19 +71,26 @@ class Gather {
   Gather(const ConvKernels<T>& kernels, Axes axes, const Geometry& g, Index C, Index O,
          const std::array<Index, 3>& out_size)
       : kernels_(kernels),
-        axes_(std::move(axes)),
+        axes_(with_mixed_rows(std::move(axes), g.B)),
+        g_(g),
+        kernel_(kernel_of(axes_, g)),
         B_(g.B),
         C_(C),
         O_(O),
-        K_(g.taps()),
+        K_(kernel_[0] * kernel_[1] * kernel_[2]),
         out_size_(out_size),
         in_count_(axes_[0].size * axes_[1].size * axes_[2].size),
-        phases_(list_phases(axes_, g)) {}
+        phases_(list_phases(axes_, kernel_)) {}
 
   void run(const T* in, const T* weight, WeightStrides stride, const T* bias, T* out,
            bool accumulate) const {
     if (B_ == 0) return;
-    const auto packed = pack(weight, stride);
+    BasicTensor<T> mixed;
+    if (axes_[1].mixed) {
+      mixed = mixed_weights(g_, axes_[1], weight, C_ * O_);
+      weight = mixed.data();
+    }
+    const auto packed = pack(weight, {stride.o * K_, stride.c * K_});
     const Index planes = axes_[0].span();
     const Pieces pieces(B_, axes_, rows_in_cache<T>(axes_, C_, planes), kPieces);
     for_each_index(pieces.count(), [&](Index i) {
@@ -75,7 +102,7 @@ class Gather {
   }
 
  private:
-  /// [block of outputs][phase][c][tap][kConvBlock]; outputs beyond O are zero.
+  /// [block of outputs][phase][c][tap][kConvBlock]; outputs beyond O are zero. Strides in elements.
   BasicTensor<T> pack(const T* weight, WeightStrides stride) const {
     const Index blocks = ceil_div(O_, kConvBlock);
     auto packed = BasicTensor<T>::uninitialised({blocks * C_ * K_ * kConvBlock});
@@ -97,31 +124,35 @@ class Gather {
     }
   }
 
+  /// Phases that fill the same output rows and are stored together: those that differ in the
+  /// column only, or all mixes of the rows.
+  Index together() const {
+    return static_cast<Index>((axes_[1].mixed ? axes_[1] : axes_[2]).phases.size());
+  }
+
   void run_piece(const Piece& piece, Slab<T>& slab, const T* packed, const T* bias, T* out,
                  bool accumulate) const {
-    const Index column_phases = static_cast<Index>(axes_[2].phases.size());
     const Index depth_phases = static_cast<Index>(axes_[0].phases.size());
     const Index width = ceil_div(piece.rows * slab.pitch(), kernels_.lanes) * kernels_.lanes;
-    auto lines = BasicTensor<T>::uninitialised({column_phases, kConvBlock, width});
+    auto lines = BasicTensor<T>::uninitialised({together(), kConvBlock, width});
     std::vector<Index> shifts(static_cast<std::size_t>(K_));
     for (Index m = piece.z; m < piece.z_end; ++m) {
       slab.load(m * axes_[0].reads, m * axes_[0].reads + axes_[0].span());
-      // Phases that differ in the column only fill the same rows and go together.
-      for (std::size_t f = 0; f < phases_.size(); f += static_cast<std::size_t>(column_phases)) {
+      for (std::size_t f = 0; f < phases_.size(); f += static_cast<std::size_t>(together())) {
         const PhaseTaps* phase = &phases_[f];
         const Index rows = std::min(piece.rows, phase->y->count - piece.row);
         if (m >= phase->z->count || rows <= 0) continue;
         const Index z = (phase->z - axes_[0].phases.data()) + m * depth_phases;
-        set_shifts(phase, column_phases, m, slab, shifts.data());
+        set_shifts(phase, m, slab, shifts.data());
         for (Index o = 0; o < O_; o += kConvBlock) {
           const Index outputs = std::min(kConvBlock, O_ - o);
-          for (Index x = 0; x < column_phases; ++x) {
-            const Index taps = static_cast<Index>(phase[x].taps.size());
-            const Index n = (rows - 1) * slab.pitch() + phase[x].x->count;
+          for (Index i = 0; i < together(); ++i) {
+            const Index taps = static_cast<Index>(phase[i].taps.size());
+            const Index n = (rows - 1) * slab.pitch() + phase[i].x->count;
             kernels_.gather(slab.data(), slab.c_stride(), C_,
-                            shifts.data() + phase[x].before - phase->before, taps,
-                            packed + (o * K_ + phase[x].before * kConvBlock) * C_, outputs, n,
-                            lines.data() + x * kConvBlock * width, width);
+                            shifts.data() + phase[i].before - phase->before, taps,
+                            packed + (o * K_ + phase[i].before * kConvBlock) * C_, outputs, n,
+                            lines.data() + i * kConvBlock * width, width);
           }
           store(piece, *phase, z, rows, o, outputs, slab.pitch(), lines, bias, out, accumulate);
         }
@@ -129,31 +160,40 @@ class Gather {
     }
   }
 
-  void set_shifts(const PhaseTaps* phase, Index column_phases, Index m, const Slab<T>& slab,
-                  Index* shift) const {
-    for (Index x = 0; x < column_phases; ++x)
-      for (const AxisTap& i : phase[x].z->taps)
-        for (const AxisTap& j : phase[x].y->taps)
-          for (const AxisTap& k : phase[x].x->taps) *shift++ = slab.shift(m, i, j, k);
+  void set_shifts(const PhaseTaps* phase, Index m, const Slab<T>& slab, Index* shift) const {
+    for (Index f = 0; f < together(); ++f)
+      for (const AxisTap& i : phase[f].z->taps)
+        for (const AxisTap& j : phase[f].y->taps)
+          for (const AxisTap& k : phase[f].x->taps) *shift++ = slab.shift(m, i, j, k);
   }
 
   void store(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
              Index outputs, Index pitch, const BasicTensor<T>& lines, const T* bias, T* out,
              bool accumulate) const {
+    const Index H = out_size_[1], W = out_size_[2];
     const Index row_phases = static_cast<Index>(axes_[1].phases.size());
-    const Index column_phases = lines.dim(0), width = lines.dim(2);
+    const Index width = lines.dim(2), phase_stride = kConvBlock * width;
     for (Index i = 0; i < outputs; ++i) {
-      T* plane = out + ((piece.b * O_ + o + i) * out_size_[0] + z) * out_size_[1] * out_size_[2];
+      T* plane = out + ((piece.b * O_ + o + i) * out_size_[0] + z) * H * W;
       const T b = bias == nullptr ? T(0) : bias[o + i];
-      for (Index r = 0; r < rows; ++r)
-        kernels_.store_row(
-            lines.data() + i * width + r * pitch, kConvBlock * width, column_phases, b, accumulate,
-            plane + (phase.first_row + (piece.row + r) * row_phases) * out_size_[2], out_size_[2]);
+      for (Index r = 0; r < rows; ++r) {
+        const T* line = lines.data() + i * width + r * pitch;
+        if (axes_[1].mixed) {
+          const Index y = (piece.row + r) * winograd::kOutputs;
+          kernels_.rows.mix_output(line, phase_stride, b, accumulate, plane + y * W, W,
+                                   std::min(winograd::kOutputs, H - y), W);
+        } else {
+          const Index y = phase.first_row + (piece.row + r) * row_phases;
+          kernels_.rows.store(line, phase_stride, lines.dim(0), b, accumulate, plane + y * W, W);
+        }
+      }
     }
   }
 
   const ConvKernels<T>& kernels_;
   const Axes axes_;
+  const Geometry& g_;
+  const std::array<Index, 3> kernel_;
   const Index B_, C_, O_, K_;
   const std::array<Index, 3> out_size_;
   const Index in_count_;
@@ -165,17 +205,15 @@ class Gather {
 template <class T>
 void correlate(const ConvKernels<T>& kernels, const Geometry& g, const T* x, const T* weight,
                const T* bias, T* y, bool accumulate) {
-  const Index K = g.taps();
   const Gather<T> gather(kernels, correlation_axes(g), g, g.C, g.O, g.y_size);
-  gather.run(x, weight, {.o = g.C * K, .c = K}, bias, y, accumulate);
+  gather.run(x, weight, {.o = g.C, .c = 1}, bias, y, accumulate);
 }
 
 template <class T>
 void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& g, const T* y,
                        const T* weight, const T* bias, T* x, bool accumulate) {
-  const Index K = g.taps();
   const Gather<T> gather(kernels, adjoint_axes(g), g, g.O, g.C, g.x_size);
-  gather.run(y, weight, {.o = K, .c = g.C * K}, bias, x, accumulate);
+  gather.run(y, weight, {.o = 1, .c = g.C}, bias, x, accumulate);
 }
 
 template void correlate(const ConvKernels<float>&, const Geometry&, const float*, const float*,

@@ -2,16 +2,18 @@
 #pragma once
 
 #include "satsurf/core/shape.h"
+#include "satsurf/ops/conv_row_kernels.h"
 
 namespace satsurf {
 
 /// Output channels whose weights stand next to each other in packed weights.
 inline constexpr Index kConvBlock = 8;
 
-/// A run of vectors of one packed gradient plane and what each weight column reads beside it.
+/// A run of positions of one output plane and what each weight column reads beside it.
 struct ConvSegment {
   const Index* columns;  ///< element of the slab that column q multiplies with position 0
-  Index first;           ///< first position, in elements
+  Index plane;           ///< element of the gradient's lines where position 0 stands
+  Index first;           ///< first position
   Index vectors;         ///< number of vectors
 };
 
@@ -28,26 +30,19 @@ struct ConvKernels {
   void (*gather)(const T* x, Index c_stride, Index C, const Index* shift, Index taps,
                  const T* weight, Index outputs, Index n, T* out, Index out_stride);
 
-  /// partial[q][o][lane] += sum_vectors g[vector][o][lane] x[columns[q] + position], for the
-  /// segments one after another; q < groups * column_group[outputs]. Vectors of g stand in the
-  /// segments' order.
+  /// partial[q][o][lane] += sum_positions g[o * g_stride + plane + position]
+  ///   x[columns[q] + position], for the segments one after another; q < groups *
+  /// column_group[outputs]. Lines of g begin at whole vectors, and so do segments.
   void (*weight_gradient)(const T* x, const ConvSegment* segments, Index count, const T* g,
-                          Index outputs, Index groups, T* partial);
+                          Index g_stride, Index outputs, Index groups, T* partial);
 
   /// out[i] = sum of the lanes of vector i of `vectors`
   void (*sum_lanes)(const T* vectors, Index n, T* out);
 
-  /// dst[f * phase_stride + i] = src[i * phases + f - left] where that index is in [0, n), else 0,
-  /// for every phase f and 0 <= i < count
-  void (*pad_row)(const T* src, Index n, Index left, Index phases, T* dst, Index phase_stride,
-                  Index count);
-
-  /// dst[m * phases + f] = (accumulate ? itself : 0) + bias + src[f * phase_stride + m], below n
-  void (*store_row)(const T* src, Index phase_stride, Index phases, T bias, bool accumulate, T* dst,
-                    Index n);
-
   /// Sum of n elements in a fixed order.
   T (*sum)(const T* x, Index n);
+
+  ConvRowKernels<T> rows;
 };
 
 namespace isa_baseline {

@@ -1,22 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/ops/conv_slab.h"
 
+#include "satsurf/ops/conv_winograd.h"
+
 #include <algorithm>
 
 namespace satsurf::conv {
 namespace {
 
 constexpr Index kSlabBytes = 384 << 10;  // leaves room for outputs and weights in a 1 MiB cache
-constexpr Index kMinRows = 4;            // below this the rows read twice outweigh the balance
-
-/// An odd number of cache lines: strides near a multiple of 4 KiB would put all planes in the same
-/// sets.
-template <class T>
-Index odd_lines(Index elements) {
-  constexpr Index kLine = 64 / static_cast<Index>(sizeof(T));
-  const Index lines = (elements + kLine - 1) / kLine;
-  return (lines | 1) * kLine;
-}
+constexpr Index kFewOutputs = 1024;  // of a channel; below this mixing the kernels takes too long
+constexpr Index kMinRows = 4;        // below this the rows read twice outweigh the balance
 
 /// Zeros behind the last row of a plane stand in for the row that would follow.
 template <class T>
@@ -79,6 +73,30 @@ Axes adjoint_axes(const Geometry& g) {
   return axes;
 }
 
+Axes with_mixed_rows(Axes axes, Index B) {
+  using namespace winograd;
+  Axis& row = axes[1];
+  const Axis& column = axes[2];
+  if (row.reads != 1 || row.phases.size() != 1 || row.phases[0].taps.size() != kTaps) return axes;
+  // a row is mixed whole, without gaps and with zeros around it only
+  if (column.reads != 1 || column.phases.size() != 1 || column.left < 0 ||
+      column.left + column.size > row_pitch(column))
+    return axes;
+  const Index groups = ceil_div(row.most, kOutputs);
+  if (groups * kMixes >= row.most * kTaps) return axes;
+  if (B * axes[0].most * row.most * column.most < kFewOutputs) return axes;
+  for (const AxisTap& t : row.phases[0].taps)
+    row.kernel_order[static_cast<std::size_t>(t.shift)] = t.tap;
+  row.mixed = true;
+  row.reads = kMixes;
+  row.most = groups;
+  row.max_shift = 0;
+  row.phases.clear();
+  for (Index i = 0; i < kMixes; ++i)
+    row.phases.push_back({.count = groups, .taps = {{.tap = i, .phase = i, .shift = 0}}});
+  return axes;
+}
+
 Index row_pitch(const Axis& axis) {
   const auto input = [&](Index i, Index phase) { return i * axis.reads + phase - axis.left; };
   const Index end = axis.most + axis.max_shift;
@@ -105,7 +123,8 @@ Slab<T>::Slab(const ConvKernels<T>& kernels, const Axes& axes, Index C, Index ro
       line_rows_(rows + axes[1].max_shift),
       plane_stride_(plane_stride<T>(axes, rows)),
       c_stride_(odd_lines<T>(planes * plane_stride_)),
-      buffer_(BasicTensor<T>::uninitialised({C * c_stride_ + tail<T>(axes)})) {
+      buffer_(BasicTensor<T>::uninitialised({C * c_stride_ + tail<T>(axes)})),
+      zeros_(BasicTensor<T>({axes[1].mixed ? axes[2].size : 0})) {
   // What lies between planes may serve as a row's trailing zeros; everything else load_plane
   // writes.
   const Index used = axes[1].reads * axes[2].reads * line_rows_ * pitch_;
@@ -139,17 +158,40 @@ template <class T>
 void Slab<T>::load_plane(Index plane) {
   const Axis &depth = axes_[0], &row = axes_[1], &column = axes_[2];
   const Index z = plane - depth.left;
-  T* slot = buffer_.data() + plane % planes_ * plane_stride_;
-  for (Index c = 0; c < C_; ++c, slot += c_stride_) {
-    T* dst = slot;
-    for (Index f = 0; f < row.reads; ++f, dst += column.reads * line_rows_ * pitch_)
+  const bool plane_inside = z >= 0 && z < depth.size;
+  T* dst = buffer_.data() + plane % planes_ * plane_stride_;
+  for (Index c = 0; c < C_; ++c, dst += c_stride_) {
+    const T* src = plane_inside ? image_ + (c * depth.size + z) * row.size * column.size : nullptr;
+    if (row.mixed) {
+      load_mixed_rows(src, dst);
+      continue;
+    }
+    T* phase = dst;
+    for (Index f = 0; f < row.reads; ++f, phase += column.reads * line_rows_ * pitch_)
       for (Index i = 0; i < line_rows_; ++i) {
         const Index y = (row_ + i) * row.reads + f - row.left;
-        const bool inside = z >= 0 && z < depth.size && y >= 0 && y < row.size;
-        const T* src = image_ + (inside ? ((c * depth.size + z) * row.size + y) * column.size : 0);
-        kernels_.pad_row(src, inside ? column.size : 0, column.left, column.reads, dst + i * pitch_,
-                         line_rows_ * pitch_, pitch_);
+        const bool inside = plane_inside && y >= 0 && y < row.size;
+        kernels_.rows.pad(inside ? src + y * column.size : image_, inside ? column.size : 0,
+                          column.left, column.reads, phase + i * pitch_, line_rows_ * pitch_,
+                          pitch_);
       }
+  }
+}
+
+template <class T>
+void Slab<T>::load_mixed_rows(const T* plane, T* dst) const {
+  using namespace winograd;
+  const Axis &row = axes_[1], &column = axes_[2];
+  const Index mix_stride = line_rows_ * pitch_;
+  for (Index i = 0; i < line_rows_; ++i) {
+    std::array<const T*, kMixes> src;
+    for (Index k = 0; k < kMixes; ++k) {
+      const Index y = (row_ + i) * kOutputs + k - row.left;
+      const bool inside = plane != nullptr && y >= 0 && y < row.size;
+      src[static_cast<std::size_t>(k)] = inside ? plane + y * column.size : zeros_.data();
+    }
+    kernels_.rows.mix_input(src.data(), column.size, column.left, dst + i * pitch_, mix_stride,
+                            pitch_);
   }
 }
 
@@ -177,6 +219,10 @@ Pieces::Pieces(Index B, const Axes& axes, Index most_rows, Index wanted)
 Piece Pieces::operator[](Index i) const {
   const Index z = i % z_blocks_ * z_size_, row = i / z_blocks_ % chunks_ * rows_;
   return {i / z_blocks_ / chunks_, row, std::min(rows_, H_ - row), z, std::min(D_, z + z_size_)};
+}
+
+std::array<Index, 3> kernel_of(const Axes& axes, const Geometry& g) {
+  return {g.kernel[0], axes[1].mixed ? winograd::kMixes : g.kernel[1], g.kernel[2]};
 }
 
 template <class T>

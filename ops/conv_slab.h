@@ -16,6 +16,11 @@
 /// pitch + m_column and reads position + shift, with one shift per tap. Outputs whose stride
 /// exceeds 1 (the adjoint of a strided correlation) are split into phases as well, each with its
 /// own taps.
+///
+/// Rows of stride 1 and three taps can be mixed instead, as Winograd's minimal filtering F(4, 3)
+/// has it: six combinations of the input's rows 4 m .. 4 m + 5 take the place of the phases, each
+/// with one tap of its own, and the four output rows are combinations of the six results. That
+/// halves the multiplications and leaves columns, planes and channels as they are.
 namespace satsurf::conv {
 
 /// One tap of one output phase along one axis.
@@ -35,9 +40,11 @@ struct Axis {
   Index size = 0;   ///< of the input
   Index reads = 1;  ///< input phases; slab index i of phase f holds input i * reads + f - left
   Index left = 0;
+  bool mixed = false;  ///< phases are F(4, 3)'s; index i of each mixes inputs from 4 i - left on
   Index max_shift = 0;
   Index most = 0;  ///< outputs of the largest phase
   std::vector<AxisPhase> phases;
+  std::array<Index, 3> kernel_order{};  ///< of a mixed axis: kernel positions by shift
 
   /// Consecutive unsplit slab indices that one output of every phase reads.
   Index span() const { return max_shift * reads + reads; }
@@ -48,6 +55,10 @@ using Axes = std::array<Axis, 3>;
 /// Layouts of a correlation (input x) and of its adjoint (input y).
 Axes correlation_axes(const Geometry& g);
 Axes adjoint_axes(const Geometry& g);
+
+/// The same with rows mixed as F(4, 3) has it where that saves work, else as they are.
+/// B  images; mixing the kernels has to pay for itself
+Axes with_mixed_rows(Axes axes, Index B);
 
 /// Smallest row pitch: the zeros behind a row may serve as those in front of the next.
 Index row_pitch(const Axis& columns);
@@ -76,11 +87,12 @@ class Slab {
 
  private:
   void load_plane(Index plane);
+  void load_mixed_rows(const T* plane, T* dst) const;
 
   const ConvKernels<T>& kernels_;
   const Axes& axes_;
   Index C_, planes_, pitch_, line_rows_, plane_stride_, c_stride_;
-  BasicTensor<T> buffer_;
+  BasicTensor<T> buffer_, zeros_;
   const T* image_ = nullptr;
   Index row_ = 0, next_ = 0;
 };
@@ -105,6 +117,18 @@ class Pieces {
  private:
   Index B_, D_, H_, rows_, chunks_, z_size_, z_blocks_;
 };
+
+/// Extents of the kernel as the slab's phases have it: mixed rows have six taps.
+std::array<Index, 3> kernel_of(const Axes& axes, const Geometry& g);
+
+/// An odd number of cache lines: strides near a multiple of 4 KiB would put all planes in the same
+/// sets.
+template <class T>
+Index odd_lines(Index elements) {
+  constexpr Index kLine = 64 / static_cast<Index>(sizeof(T));
+  const Index lines = (elements + kLine - 1) / kLine;
+  return (lines | 1) * kLine;
+}
 
 /// Most output rows of which a slab of that many planes fits the cache.
 template <class T>

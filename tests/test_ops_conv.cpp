@@ -43,6 +43,14 @@ const std::vector<Case> kCases = {
     {"2D 1x1", 2, 19, 13, {1, 6, 11}, {1, 1, 1}, {1, 1, 1}, {0, 0, 0}},
     {"2D many channels", 1, 35, 12, {1, 7, 9}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
     {"2D tall enough for several chunks", 1, 33, 2, {1, 90, 70}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
+    // enough outputs for rows to be mixed, see conv_winograd.h
+    {"mixed rows", 2, 5, 11, {4, 13, 35}, {3, 3, 3}, {1, 1, 1}, {1, 1, 1}},
+    {"mixed rows, one output, no padding", 1, 9, 1, {6, 21, 20}, {3, 3, 3}, {1, 1, 1}, {0, 0, 0}},
+    {"mixed rows, short ones", 3, 2, 3, {9, 19, 3}, {3, 3, 3}, {1, 1, 1}, {1, 1, 1}},
+    {"mixed rows of a narrow kernel", 1, 3, 8, {2, 40, 17}, {2, 3, 1}, {1, 1, 1}, {0, 1, 0}},
+    {"mixed rows, wide padding", 1, 2, 4, {3, 16, 33}, {1, 3, 4}, {1, 1, 1}, {1, 3, 2}},
+    {"mixed rows, every second plane", 1, 4, 9, {7, 18, 50}, {3, 3, 3}, {2, 1, 1}, {1, 1, 1}},
+    {"mixed rows 2D, several chunks", 1, 34, 16, {1, 91, 66}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
     {"3D several chunks and planes", 1, 9, 3, {4, 41, 65}, {3, 3, 3}, {1, 2, 2}, {1, 1, 1}},
 };
 
@@ -167,6 +175,8 @@ TEST_CASE("conv2d gradients") {
   };
   CHECK(gradcheck(f({.stride = {1, 1}, .padding = {1, 1}}),
                   {normal({2, 3, 5, 7}, 1), normal({4, 3, 3, 3}, 2), normal({4}, 3)}));
+  CHECK(gradcheck(f({.stride = {1, 1}, .padding = {1, 1}}),  // with mixed rows
+                  {normal({1, 2, 30, 35}, 1), normal({3, 2, 3, 3}, 2), normal({3}, 3)}));
   CHECK(gradcheck(f({.stride = {2, 2}, .padding = {1, 1}}),
                   {normal({2, 2, 6, 9}, 4), normal({3, 2, 4, 4}, 5), normal({3}, 6)}));
   CHECK(gradcheck(f({.stride = {2, 1}, .padding = {0, 2}}),
