@@ -2,7 +2,6 @@
 #include "satsurf/ops/conv_kernels.h"
 
 #include "satsurf/core/simd.h"
-#include "satsurf/ops/vector_part.h"
 
 #include <cstddef>
 

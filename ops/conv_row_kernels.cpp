@@ -3,7 +3,6 @@
 
 #include "satsurf/core/simd.h"
 #include "satsurf/ops/conv_winograd.h"
-#include "satsurf/ops/vector_part.h"
 
 #include <cstddef>
 

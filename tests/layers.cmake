@@ -9,7 +9,7 @@ set(may_nn ${may_ops} rpc splat nn)
 set(may_train ${may_nn} train)
 set(may_bench ${may_nn} bench)
 # Headers that engine users do not get: the same as in install() of CMakeLists.txt.
-set(internal "_kernels\\.h$|^core/(simd|fields_json)\\.h$|^ops/conv_(engine|slab)\\.h$|^splat/bin\\.h$|^rpc/(gdal|raster|read)\\.h$")
+set(internal "_kernels\\.h$|^core/(simd|fields_json)\\.h$|^ops/conv_(engine|slab|winograd)\\.h$|^splat/bin\\.h$|^rpc/(gdal|raster|read)\\.h$")
 set(readers rpc/gdal.h rpc/read.cpp rpc/read_info.cpp rpc/read_rpc.cpp rpc/raster.cpp)  # the only ones that know GDAL
 
 cmake_minimum_required(VERSION 3.25)
