@@ -20,6 +20,14 @@ BasicVar<T> zeros(ParameterSet<T>& p, const std::string& name, Index n) {
   return p.create(name, {n}, Init::constant(0), false);
 }
 
+/// GroupNorm of a convolution's result, with the moments the convolution gathered.
+template <class T>
+Normalised<T> normalised(const BasicVar<T>& x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
+                         Activation activation, const ChannelMoments& moments) {
+  return group_normalised(x, gamma, beta, norm_groups(gamma.count()), activation, T(1e-5),
+                          &moments);
+}
+
 }  // namespace
 
 Index norm_groups(Index channels) {
@@ -48,9 +56,10 @@ ConvNorm2d<T>::ConvNorm2d(ParameterSet<T>& p, const std::string& name, Index in,
       activation(act) {}
 
 template <class T>
-BasicVar<T> ConvNorm2d<T>::operator()(const BasicVar<T>& x) const {
-  return group_norm(conv2d(x, weight, {}, options), gamma, beta, norm_groups(gamma.count()),
-                    activation);
+Normalised<T> ConvNorm2d<T>::operator()(const Normalised<T>& x) const {
+  ChannelMoments moments;
+  const auto y = conv2d(x, weight, {}, options, &moments);
+  return normalised(y, gamma, beta, activation, moments);
 }
 
 template <class T>
@@ -62,9 +71,10 @@ ConvNorm3d<T>::ConvNorm3d(ParameterSet<T>& p, const std::string& name, Index in,
       options{{stride, stride, stride}, {1, 1, 1}} {}
 
 template <class T>
-BasicVar<T> ConvNorm3d<T>::operator()(const BasicVar<T>& x) const {
-  return group_norm(conv3d(x, weight, {}, options), gamma, beta, norm_groups(gamma.count()),
-                    Activation::relu);
+Normalised<T> ConvNorm3d<T>::operator()(const Normalised<T>& x) const {
+  ChannelMoments moments;
+  const auto y = conv3d(x, weight, {}, options, &moments);
+  return normalised(y, gamma, beta, Activation::relu, moments);
 }
 
 template <class T>
@@ -76,10 +86,11 @@ UpNorm3d<T>::UpNorm3d(ParameterSet<T>& p, const std::string& name, Index in, Ind
       beta(zeros(p, name + ".beta", out)) {}
 
 template <class T>
-BasicVar<T> UpNorm3d<T>::operator()(const BasicVar<T>& x) const {
+Normalised<T> UpNorm3d<T>::operator()(const Normalised<T>& x) const {
   const ConvTranspose3dOptions doubling{{2, 2, 2}, {1, 1, 1}, {1, 1, 1}};
-  return group_norm(conv_transpose3d(x, weight, {}, doubling), gamma, beta,
-                    norm_groups(gamma.count()), Activation::relu);
+  ChannelMoments moments;
+  const auto y = conv_transpose3d(x, weight, {}, doubling, &moments);
+  return normalised(y, gamma, beta, Activation::relu, moments);
 }
 
 template struct Conv2d<float>;

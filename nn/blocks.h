@@ -12,6 +12,9 @@ namespace satsurf::nn {
 /// Groups of a GroupNorm over `channels`: groups of about four channels, at most eight of them.
 Index norm_groups(Index channels);
 
+// Blocks take and return values whose normalisation is left to the next reader
+// (ops/normalised.h): between two convolutions no tensor but the convolution's own is made.
+
 /// 2D convolution with bias. Padding keeps (stride 1) or divides (stride s) the size.
 template <class T>
 struct Conv2d {
@@ -19,7 +22,7 @@ struct Conv2d {
   Conv2dOptions options;
   Conv2d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index kernel,
          Index stride = 1);
-  BasicVar<T> operator()(const BasicVar<T>& x) const { return conv2d(x, weight, bias, options); }
+  BasicVar<T> operator()(const Normalised<T>& x) const { return conv2d(x, weight, bias, options); }
 };
 
 /// 2D convolution, GroupNorm and activation, on maps [B C H W].
@@ -30,7 +33,7 @@ struct ConvNorm2d {
   Activation activation;
   ConvNorm2d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index kernel,
              Index stride, Activation act);
-  BasicVar<T> operator()(const BasicVar<T>& x) const;
+  Normalised<T> operator()(const Normalised<T>& x) const;
 };
 
 /// 3D convolution (3 x 3 x 3), GroupNorm and ReLU, on volumes [B C D H W].
@@ -39,7 +42,7 @@ struct ConvNorm3d {
   BasicVar<T> weight, gamma, beta;
   Conv3dOptions options;
   ConvNorm3d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index stride);
-  BasicVar<T> operator()(const BasicVar<T>& x) const;
+  Normalised<T> operator()(const Normalised<T>& x) const;
 };
 
 /// Transposed 3D convolution that doubles every axis, GroupNorm and ReLU, on volumes [B C D H W].
@@ -47,7 +50,7 @@ template <class T>
 struct UpNorm3d {
   BasicVar<T> weight, gamma, beta;
   UpNorm3d(ParameterSet<T>& p, const std::string& name, Index in, Index out);
-  BasicVar<T> operator()(const BasicVar<T>& x) const;
+  Normalised<T> operator()(const Normalised<T>& x) const;
 };
 
 }  // namespace satsurf::nn

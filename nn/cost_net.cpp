@@ -24,17 +24,18 @@ CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, Index channels,
 
 template <class T>
 BasicVar<T> CostNet<T>::operator()(BasicVar<T> volume, const std::function<void()>& poll) const {
-  const auto polled = [&poll](BasicVar<T> x) {
+  const auto polled = [&poll](Normalised<T> x) {
     if (poll) poll();
     return x;
   };
   const Index C = volume.dim(0), D = volume.dim(1), H = volume.dim(2), W = volume.dim(3);
   // The volume is the largest tensor of all: without a tape it goes as soon as it has been read.
-  std::vector<BasicVar<T>> skips;
-  skips.push_back(polled(first_(reshape(polled(std::exchange(volume, {})), Shape{1, C, D, H, W}))));
+  std::vector<Normalised<T>> skips;
+  skips.push_back(polled(first_(reshape(std::exchange(volume, {}), Shape{1, C, D, H, W}))));
   for (const Level& l : levels_) skips.push_back(polled(l.same(polled(l.down(skips.back())))));
-  BasicVar<T> x = std::move(skips.back());
-  for (std::size_t l = levels_.size(); l-- > 0;) x = std::move(skips[l]) + polled(levels_[l].up(x));
+  Normalised<T> x = std::move(skips.back());
+  for (std::size_t l = levels_.size(); l-- > 0;)
+    x = add(std::move(skips[l]), polled(levels_[l].up(x)));
   return reshape(conv3d(x, last_, {}, {.padding = {1, 1, 1}}), Shape{1, D, H, W});
 }
 

@@ -52,9 +52,9 @@ SurfelHead<T>::SurfelHead(ParameterSet<T>& p, const std::string& name, Index cha
 
 template <class T>
 BasicVar<T> SurfelHead<T>::operator()(const BasicVar<T>& x) const {
-  BasicVar<T> h = first_(x);
-  h = h + residual1_(h);
-  h = h + residual2_(h);
+  Normalised<T> h = first_(x);
+  h = add(h, residual1_(h));
+  h = add(h, residual2_(h));
   return conv2d(h, weight_, bias_);
 }
 

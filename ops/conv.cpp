@@ -57,31 +57,60 @@ const T* data_or_null(const BasicVar<T>& v) {
   return v.empty() ? nullptr : v.value().data();
 }
 
+template <class T>
+conv::Input<T> input_of(const Normalised<T>& v) {
+  return {v.x.value().data(), data_or_null(v.affine), v.activation};
+}
+
+/// The same from the tape: inputs 0 and 1 of every convolution.
+template <class T>
+conv::Input<T> input_of(const Node<T>& n, Activation activation) {
+  return {n.in(0), n.inputs[1] ? n.in(1) : nullptr, activation};
+}
+
+/// Gradients of x and its affine: `adjoint(target, accumulate)` computes that of the normalised x.
+template <class T, class Adjoint>
+void input_gradient(Node<T>& n, Activation activation, const Adjoint& adjoint) {
+  T *dx = n.grad_in(0), *daffine = n.grad_in(1);
+  if (dx == nullptr && daffine == nullptr) return;
+  const BasicTensor<T>& x = n.inputs[0]->value;
+  if (n.inputs[1] == nullptr && activation == Activation::none) return adjoint(dx, true);
+  auto dz = BasicTensor<T>::uninitialised(x.shape());
+  adjoint(dz.data(), false);
+  detail::normalised_backward(x, n.inputs[1] ? n.inputs[1]->value : BasicTensor<T>(), activation,
+                              dz.data(), dx, daffine);
+}
+
 /// What conv2d and conv3d share once the shapes are checked.
 template <class T>
-BasicVar<T> correlation(const char* op, const Geometry& g, const Shape& shape, const BasicVar<T>& x,
-                        const BasicVar<T>& weight, const BasicVar<T>& bias) {
+BasicVar<T> correlation(const char* op, const Geometry& g, const Shape& shape,
+                        const Normalised<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
+                        ChannelMoments* moments) {
   auto out = BasicTensor<T>::uninitialised(shape);
-  conv::correlate(active_kernels<T>(), g, x.value().data(), weight.value().data(),
-                  data_or_null(bias), out.data(), false);
+  conv::correlate(active_kernels<T>(), g, input_of(x), weight.value().data(), data_or_null(bias),
+                  out.data(), false, moments);
 
-  return BasicVar<T>::record(op, out, {x, weight, bias}, [g](Node<T>& n) {
+  const Activation activation = x.activation;
+  return BasicVar<T>::record(op, out, {x.x, x.affine, weight, bias}, [g, activation](Node<T>& n) {
     const auto& kernels = active_kernels<T>();
     const T* dy = n.grad.data();
-    if (T* dx = n.grad_in(0))
-      conv::correlate_adjoint<T>(kernels, g, dy, n.in(1), nullptr, dx, true);
-    if (T* dw = n.grad_in(1)) conv::correlate_weight_gradient(kernels, g, n.in(0), dy, dw);
-    if (T* db = n.grad_in(2)) conv::bias_gradient(kernels, g.B, g.O, g.y_count(), dy, db);
+    input_gradient(n, activation, [&](T* dx, bool accumulate) {
+      conv::correlate_adjoint<T>(kernels, g, {dy}, n.in(2), nullptr, dx, accumulate);
+    });
+    if (T* dw = n.grad_in(2))
+      conv::correlate_weight_gradient<T>(kernels, g, input_of(n, activation), {dy}, dw);
+    if (T* db = n.grad_in(3)) conv::bias_gradient(kernels, g.B, g.O, g.y_count(), dy, db);
   });
 }
 
 }  // namespace
 
 template <class T>
-BasicVar<T> conv2d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
-                   const Conv2dOptions& options) {
+BasicVar<T> conv2d(const Normalised<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
+                   const Conv2dOptions& options, ChannelMoments* moments) {
+  detail::check_normalised("conv2d", x);
   Dims dim("conv2d");
-  dim.match("x", x, "B C H W").match("weight", weight, "O C KH KW");
+  dim.match("x", x.shape(), "B C H W").match("weight", weight, "O C KH KW");
   if (!bias.empty()) dim.match("bias", bias, "O");
   check_options("conv2d", options.stride, options.padding);
   check_kernel("conv2d", weight.shape());
@@ -95,14 +124,15 @@ BasicVar<T> conv2d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicV
              .stride = {1, options.stride[0], options.stride[1]},
              .padding = {0, options.padding[0], options.padding[1]}};
   set_y_size("conv2d", x.shape(), weight.shape(), g);
-  return correlation("conv2d", g, {g.B, g.O, g.y_size[1], g.y_size[2]}, x, weight, bias);
+  return correlation("conv2d", g, {g.B, g.O, g.y_size[1], g.y_size[2]}, x, weight, bias, moments);
 }
 
 template <class T>
-BasicVar<T> conv3d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
-                   const Conv3dOptions& options) {
+BasicVar<T> conv3d(const Normalised<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
+                   const Conv3dOptions& options, ChannelMoments* moments) {
+  detail::check_normalised("conv3d", x);
   Dims dim("conv3d");
-  dim.match("x", x, "B C D H W").match("weight", weight, "O C KD KH KW");
+  dim.match("x", x.shape(), "B C D H W").match("weight", weight, "O C KD KH KW");
   if (!bias.empty()) dim.match("bias", bias, "O");
   check_options("conv3d", options.stride, options.padding);
   check_kernel("conv3d", weight.shape());
@@ -117,14 +147,16 @@ BasicVar<T> conv3d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicV
              .padding = options.padding};
   set_y_size("conv3d", x.shape(), weight.shape(), g);
   return correlation("conv3d", g, {g.B, g.O, g.y_size[0], g.y_size[1], g.y_size[2]}, x, weight,
-                     bias);
+                     bias, moments);
 }
 
 template <class T>
-BasicVar<T> conv_transpose3d(const BasicVar<T>& x, const BasicVar<T>& weight,
-                             const BasicVar<T>& bias, const ConvTranspose3dOptions& options) {
+BasicVar<T> conv_transpose3d(const Normalised<T>& x, const BasicVar<T>& weight,
+                             const BasicVar<T>& bias, const ConvTranspose3dOptions& options,
+                             ChannelMoments* moments) {
+  detail::check_normalised("conv_transpose3d", x);
   Dims dim("conv_transpose3d");
-  dim.match("x", x, "B C D H W").match("weight", weight, "C O KD KH KW");
+  dim.match("x", x.shape(), "B C D H W").match("weight", weight, "C O KD KH KW");
   if (!bias.empty()) dim.match("bias", bias, "O");
   check_options("conv_transpose3d", options.stride, options.padding);
   check_kernel("conv_transpose3d", weight.shape());
@@ -152,29 +184,36 @@ BasicVar<T> conv_transpose3d(const BasicVar<T>& x, const BasicVar<T>& weight,
   }
 
   auto out = BasicTensor<T>::uninitialised({g.B, g.C, g.x_size[0], g.x_size[1], g.x_size[2]});
-  conv::correlate_adjoint(active_kernels<T>(), g, x.value().data(), weight.value().data(),
-                          data_or_null(bias), out.data(), false);
+  conv::correlate_adjoint(active_kernels<T>(), g, input_of(x), weight.value().data(),
+                          data_or_null(bias), out.data(), false, moments);
 
-  return BasicVar<T>::record("conv_transpose3d", out, {x, weight, bias}, [g](Node<T>& n) {
-    const auto& kernels = active_kernels<T>();
-    const T* dy = n.grad.data();
-    if (T* dx = n.grad_in(0)) conv::correlate<T>(kernels, g, dy, n.in(1), nullptr, dx, true);
-    if (T* dw = n.grad_in(1)) conv::correlate_weight_gradient(kernels, g, dy, n.in(0), dw);
-    if (T* db = n.grad_in(2)) conv::bias_gradient(kernels, g.B, g.C, g.x_count(), dy, db);
-  });
+  const Activation activation = x.activation;
+  return BasicVar<T>::record(
+      "conv_transpose3d", out, {x.x, x.affine, weight, bias}, [g, activation](Node<T>& n) {
+        const auto& kernels = active_kernels<T>();
+        const T* dy = n.grad.data();
+        input_gradient(n, activation, [&](T* dx, bool accumulate) {
+          conv::correlate<T>(kernels, g, {dy}, n.in(2), nullptr, dx, accumulate);
+        });
+        if (T* dw = n.grad_in(2))
+          conv::correlate_weight_gradient<T>(kernels, g, {dy}, input_of(n, activation), dw);
+        if (T* db = n.grad_in(3)) conv::bias_gradient(kernels, g.B, g.C, g.x_count(), dy, db);
+      });
 }
 
-template BasicVar<float> conv2d(const BasicVar<float>&, const BasicVar<float>&,
-                                const BasicVar<float>&, const Conv2dOptions&);
-template BasicVar<double> conv2d(const BasicVar<double>&, const BasicVar<double>&,
-                                 const BasicVar<double>&, const Conv2dOptions&);
-template BasicVar<float> conv3d(const BasicVar<float>&, const BasicVar<float>&,
-                                const BasicVar<float>&, const Conv3dOptions&);
-template BasicVar<double> conv3d(const BasicVar<double>&, const BasicVar<double>&,
-                                 const BasicVar<double>&, const Conv3dOptions&);
-template BasicVar<float> conv_transpose3d(const BasicVar<float>&, const BasicVar<float>&,
-                                          const BasicVar<float>&, const ConvTranspose3dOptions&);
-template BasicVar<double> conv_transpose3d(const BasicVar<double>&, const BasicVar<double>&,
-                                           const BasicVar<double>&, const ConvTranspose3dOptions&);
+template BasicVar<float> conv2d(const Normalised<float>&, const BasicVar<float>&,
+                                const BasicVar<float>&, const Conv2dOptions&, ChannelMoments*);
+template BasicVar<double> conv2d(const Normalised<double>&, const BasicVar<double>&,
+                                 const BasicVar<double>&, const Conv2dOptions&, ChannelMoments*);
+template BasicVar<float> conv3d(const Normalised<float>&, const BasicVar<float>&,
+                                const BasicVar<float>&, const Conv3dOptions&, ChannelMoments*);
+template BasicVar<double> conv3d(const Normalised<double>&, const BasicVar<double>&,
+                                 const BasicVar<double>&, const Conv3dOptions&, ChannelMoments*);
+template BasicVar<float> conv_transpose3d(const Normalised<float>&, const BasicVar<float>&,
+                                          const BasicVar<float>&, const ConvTranspose3dOptions&,
+                                          ChannelMoments*);
+template BasicVar<double> conv_transpose3d(const Normalised<double>&, const BasicVar<double>&,
+                                           const BasicVar<double>&, const ConvTranspose3dOptions&,
+                                           ChannelMoments*);
 
 }  // namespace satsurf

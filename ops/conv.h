@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include "satsurf/core/var.h"
+#include "satsurf/ops/normalised.h"
 
 #include <array>
 
@@ -28,14 +28,20 @@ struct ConvTranspose3dOptions {
 
 /// 2D cross-correlation:
 ///   out[b,o,y,x] = bias[o] + sum_{c,i,j} weight[o,c,i,j] x[b,c,y*sy+i-py,x*sx+j-px]
-/// x        [B C H W]
+/// x        [B C H W]; padding is zero whatever normalisation makes of zeros
 /// weight   [O C KH KW]
 /// bias     [O], or an empty Var for none
+/// moments  takes those of the result's channels, gathered while they are in the cache
 /// returns  [B O H' W'] with H' = (H + 2 py - KH) / sy + 1 (floor), likewise W'
 /// throws   ShapeError
 template <class T>
+BasicVar<T> conv2d(const Normalised<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
+                   const Conv2dOptions& options = {}, ChannelMoments* moments = nullptr);
+template <class T>
 BasicVar<T> conv2d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
-                   const Conv2dOptions& options = {});
+                   const Conv2dOptions& options = {}, ChannelMoments* moments = nullptr) {
+  return conv2d(Normalised<T>(x), weight, bias, options, moments);
+}
 
 /// 3D cross-correlation, as conv2d with one more axis in front of the rows.
 /// x        [B C D H W]
@@ -44,8 +50,13 @@ BasicVar<T> conv2d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicV
 /// returns  [B O D' H' W']
 /// throws   ShapeError
 template <class T>
+BasicVar<T> conv3d(const Normalised<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
+                   const Conv3dOptions& options = {}, ChannelMoments* moments = nullptr);
+template <class T>
 BasicVar<T> conv3d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
-                   const Conv3dOptions& options = {});
+                   const Conv3dOptions& options = {}, ChannelMoments* moments = nullptr) {
+  return conv3d(Normalised<T>(x), weight, bias, options, moments);
+}
 
 /// Transposed 3D convolution: the data gradient of conv3d with the same options, as a forward op.
 /// x        [B C D H W]
@@ -54,7 +65,14 @@ BasicVar<T> conv3d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicV
 /// returns  [B O D' H' W'] with D' = (D - 1) s - 2 p + KD + output_padding, likewise H' and W'
 /// throws   ShapeError
 template <class T>
+BasicVar<T> conv_transpose3d(const Normalised<T>& x, const BasicVar<T>& weight,
+                             const BasicVar<T>& bias, const ConvTranspose3dOptions& options = {},
+                             ChannelMoments* moments = nullptr);
+template <class T>
 BasicVar<T> conv_transpose3d(const BasicVar<T>& x, const BasicVar<T>& weight,
-                             const BasicVar<T>& bias, const ConvTranspose3dOptions& options = {});
+                             const BasicVar<T>& bias, const ConvTranspose3dOptions& options = {},
+                             ChannelMoments* moments = nullptr) {
+  return conv_transpose3d(Normalised<T>(x), weight, bias, options, moments);
+}
 
 }  // namespace satsurf

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/shape.h"
 #include "satsurf/ops/conv_kernels.h"
+#include "satsurf/ops/normalised.h"
 
 #include <array>
 
@@ -21,28 +22,42 @@ struct Geometry {
   Index taps() const { return kernel[0] * kernel[1] * kernel[2]; }
 };
 
+/// What a convolution reads: x itself, or what ops/normalised.h makes of it on the way.
+template <class T>
+struct Input {
+  const T* x;
+  const T* affine = nullptr;  ///< [3 images channels], or nullptr
+  Activation activation = Activation::none;
+
+  bool plain() const { return affine == nullptr && activation == Activation::none; }
+};
+
 /// y[b,o,n] = bias[o] + sum_{c,t} weight[o,c,t] x[b,c,n*stride+t-padding]
 /// x       [B C x_size]
 /// weight  [O C kernel]
 /// bias    [O], or nullptr
 /// y       [B O y_size], added to if `accumulate`, overwritten otherwise
+/// moments of y's channels [B O], or nullptr if nobody asks
 template <class T>
-void correlate(const ConvKernels<T>& kernels, const Geometry& geometry, const T* x, const T* weight,
-               const T* bias, T* y, bool accumulate);
+void correlate(const ConvKernels<T>& kernels, const Geometry& geometry, const Input<T>& x,
+               const T* weight, const T* bias, T* y, bool accumulate,
+               ChannelMoments* moments = nullptr);
 
 /// The adjoint of `correlate` in x:
 ///   x[b,c,n*stride+t-padding] = bias[c] + sum_{o,t} weight[o,c,t] y[b,o,n]
 /// bias    [C], or nullptr
 /// x       [B C x_size], added to if `accumulate`, overwritten otherwise
+/// moments of x's channels [B C], or nullptr if nobody asks
 template <class T>
-void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& geometry, const T* y,
-                       const T* weight, const T* bias, T* x, bool accumulate);
+void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& geometry, const Input<T>& y,
+                       const T* weight, const T* bias, T* x, bool accumulate,
+                       ChannelMoments* moments = nullptr);
 
 /// The adjoint of `correlate` in the weight:
 ///   dw[o,c,t] += sum_{b,n} dy[b,o,n] x[b,c,n*stride+t-padding]
 template <class T>
-void correlate_weight_gradient(const ConvKernels<T>& kernels, const Geometry& geometry, const T* x,
-                               const T* dy, T* dw);
+void correlate_weight_gradient(const ConvKernels<T>& kernels, const Geometry& geometry,
+                               const Input<T>& x, const Input<T>& dy, T* dw);
 
 /// db[c] += sum_{b,n} dy[b,c,n] over B images of C channels of N elements.
 template <class T>

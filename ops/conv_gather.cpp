@@ -79,11 +79,10 @@ class Gather {
         O_(O),
         K_(kernel_[0] * kernel_[1] * kernel_[2]),
         out_size_(out_size),
-        in_count_(axes_[0].size * axes_[1].size * axes_[2].size),
         phases_(list_phases(axes_, kernel_)) {}
 
-  void run(const T* in, const T* weight, WeightStrides stride, const T* bias, T* out,
-           bool accumulate) const {
+  void run(const Input<T>& in, const T* weight, WeightStrides stride, const T* bias, T* out,
+           bool accumulate, ChannelMoments* moments) const {
     if (B_ == 0) return;
     BasicTensor<T> mixed;
     if (axes_[1].mixed) {
@@ -93,12 +92,22 @@ class Gather {
     const auto packed = pack(weight, {stride.o * K_, stride.c * K_});
     const Index planes = axes_[0].span();
     const Pieces pieces(B_, axes_, rows_in_cache<T>(axes_, C_, planes), kPieces);
+    // of each piece's outputs, added up in the pieces' order
+    std::vector<Moments> parts(moments == nullptr ? 0
+                                                  : static_cast<std::size_t>(pieces.count() * O_));
     for_each_index(pieces.count(), [&](Index i) {
       const Piece piece = pieces[i];
-      Slab<T> slab(kernels_, axes_, C_, piece.rows, planes);
-      slab.open(in + piece.b * C_ * in_count_, piece.row);
-      run_piece(piece, slab, packed.data(), bias, out, accumulate);
+      Slab<T> slab(kernels_, axes_, in, B_ * C_, C_, piece.rows, planes);
+      slab.open(piece.b * C_, piece.row);
+      run_piece(piece, slab, packed.data(), bias, out, accumulate,
+                parts.empty() ? nullptr : parts.data() + i * O_);
     });
+    if (moments == nullptr) return;
+    moments->assign(static_cast<std::size_t>(B_ * O_), {});
+    for (Index i = 0; i < pieces.count(); ++i)
+      for (Index o = 0; o < O_; ++o)
+        (*moments)[static_cast<std::size_t>(pieces[i].b * O_ + o)].merge(
+            parts[static_cast<std::size_t>(i * O_ + o)]);
   }
 
  private:
@@ -131,7 +140,7 @@ class Gather {
   }
 
   void run_piece(const Piece& piece, Slab<T>& slab, const T* packed, const T* bias, T* out,
-                 bool accumulate) const {
+                 bool accumulate, Moments* moments) const {
     const Index depth_phases = static_cast<Index>(axes_[0].phases.size());
     const Index width = ceil_div(piece.rows * slab.pitch(), kernels_.lanes) * kernels_.lanes;
     auto lines = BasicTensor<T>::uninitialised({together(), kConvBlock, width});
@@ -154,7 +163,8 @@ class Gather {
                             packed + (o * K_ + phase[i].before * kConvBlock) * C_, outputs, n,
                             lines.data() + i * kConvBlock * width, width);
           }
-          store(piece, *phase, z, rows, o, outputs, slab.pitch(), lines, bias, out, accumulate);
+          store(piece, *phase, z, rows, o, outputs, slab.pitch(), lines, bias, out, accumulate,
+                moments);
         }
       }
     }
@@ -169,9 +179,9 @@ class Gather {
 
   void store(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
              Index outputs, Index pitch, const BasicTensor<T>& lines, const T* bias, T* out,
-             bool accumulate) const {
+             bool accumulate, Moments* moments) const {
     const Index H = out_size_[1], W = out_size_[2];
-    const Index row_phases = static_cast<Index>(axes_[1].phases.size());
+    const Index row_phases = axes_[1].mixed ? 1 : static_cast<Index>(axes_[1].phases.size());
     const Index width = lines.dim(2), phase_stride = kConvBlock * width;
     for (Index i = 0; i < outputs; ++i) {
       T* plane = out + ((piece.b * O_ + o + i) * out_size_[0] + z) * H * W;
@@ -187,7 +197,24 @@ class Gather {
           kernels_.rows.store(line, phase_stride, lines.dim(0), b, accumulate, plane + y * W, W);
         }
       }
+      if (moments == nullptr) continue;
+      const Index group = axes_[1].mixed ? winograd::kOutputs : 1;
+      const Index first = phase.first_row + piece.row * group * row_phases;
+      if (row_phases == 1) {
+        add_moments(plane + first * W, std::min(rows * group, H - first) * W, moments[o + i]);
+        continue;
+      }
+      for (Index r = 0; r < rows; ++r)
+        add_moments(plane + (first + r * row_phases) * W, W, moments[o + i]);
     }
+  }
+
+  /// About the first element, so that nothing cancels where the mean is large.
+  void add_moments(const T* x, Index n, Moments& moments) const {
+    double sums[2];
+    kernels_.rows.sums(n, x, x[0], sums);
+    moments.merge(
+        Moments::about(static_cast<double>(x[0]), static_cast<double>(n), sums[0], sums[1]));
   }
 
   const ConvKernels<T>& kernels_;
@@ -196,33 +223,33 @@ class Gather {
   const std::array<Index, 3> kernel_;
   const Index B_, C_, O_, K_;
   const std::array<Index, 3> out_size_;
-  const Index in_count_;
   const std::vector<PhaseTaps> phases_;
 };
 
 }  // namespace
 
 template <class T>
-void correlate(const ConvKernels<T>& kernels, const Geometry& g, const T* x, const T* weight,
-               const T* bias, T* y, bool accumulate) {
+void correlate(const ConvKernels<T>& kernels, const Geometry& g, const Input<T>& x, const T* weight,
+               const T* bias, T* y, bool accumulate, ChannelMoments* moments) {
   const Gather<T> gather(kernels, correlation_axes(g), g, g.C, g.O, g.y_size);
-  gather.run(x, weight, {.o = g.C, .c = 1}, bias, y, accumulate);
+  gather.run(x, weight, {.o = g.C, .c = 1}, bias, y, accumulate, moments);
 }
 
 template <class T>
-void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& g, const T* y,
-                       const T* weight, const T* bias, T* x, bool accumulate) {
+void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& g, const Input<T>& y,
+                       const T* weight, const T* bias, T* x, bool accumulate,
+                       ChannelMoments* moments) {
   const Gather<T> gather(kernels, adjoint_axes(g), g, g.O, g.C, g.x_size);
-  gather.run(y, weight, {.o = 1, .c = g.C}, bias, x, accumulate);
+  gather.run(y, weight, {.o = 1, .c = g.C}, bias, x, accumulate, moments);
 }
 
-template void correlate(const ConvKernels<float>&, const Geometry&, const float*, const float*,
-                        const float*, float*, bool);
-template void correlate(const ConvKernels<double>&, const Geometry&, const double*, const double*,
-                        const double*, double*, bool);
-template void correlate_adjoint(const ConvKernels<float>&, const Geometry&, const float*,
-                                const float*, const float*, float*, bool);
-template void correlate_adjoint(const ConvKernels<double>&, const Geometry&, const double*,
-                                const double*, const double*, double*, bool);
+template void correlate(const ConvKernels<float>&, const Geometry&, const Input<float>&,
+                        const float*, const float*, float*, bool, ChannelMoments*);
+template void correlate(const ConvKernels<double>&, const Geometry&, const Input<double>&,
+                        const double*, const double*, double*, bool, ChannelMoments*);
+template void correlate_adjoint(const ConvKernels<float>&, const Geometry&, const Input<float>&,
+                                const float*, const float*, float*, bool, ChannelMoments*);
+template void correlate_adjoint(const ConvKernels<double>&, const Geometry&, const Input<double>&,
+                                const double*, const double*, double*, bool, ChannelMoments*);
 
 }  // namespace satsurf::conv

@@ -43,7 +43,7 @@ class WeightGradient {
                                     ceil_div(o_blocks_, kMostBlocks), o_blocks_)),
         zeros_({g.y_size[2]}) {}
 
-  void run(const T* x, const T* dy, T* dw) const {
+  void run(const Input<T>& x, const Input<T>& dy, T* dw) const {
     const Index items = o_groups_ * c_blocks_, N = g_.O * g_.C * g_.taps();
     auto partial = BasicTensor<T>::uninitialised({stretches_, N});
     for_each_index(stretches_ * items, [&](Index i) {
@@ -77,10 +77,11 @@ class WeightGradient {
 
   /// The sums of input channels from c on for the output blocks [first_block, last_block) over the
   /// pieces [first, last).
-  void run_item(const T* x, const T* dy, Index c, Index first_block, Index last_block, Index first,
-                Index last, T* dw) const {
+  void run_item(const Input<T>& x, const Input<T>& dy, Index c, Index first_block, Index last_block,
+                Index first, Index last, T* dw) const {
     const Index L = kernels_.lanes, channels = std::min(c_block_, g_.C - c);
-    Slab<T> slab(kernels_, axes_, channels, pieces_.rows(), ring_);
+    Slab<T> slab(kernels_, axes_, x, g_.B * g_.C, channels, pieces_.rows(), ring_);
+    Rows<T> gradient(kernels_, dy, g_.B * g_.O, g_.y_size[2], winograd::kOutputs);
     const Index plane = ceil_div(pieces_.rows() * slab.pitch(), L) * L;
     auto lines = BasicTensor<T>::uninitialised(
         {mixes_, kConvBlock, odd_lines<T>(planes_per_batch_ * plane)});
@@ -91,7 +92,7 @@ class WeightGradient {
 
     for (Index i = first; i < last; ++i) {
       const Piece piece = pieces_[i];
-      slab.open(x + (piece.b * g_.C + c) * g_.x_count(), piece.row);
+      slab.open(piece.b * g_.C + c, piece.row);
       for (Index z = piece.z; z < piece.z_end; z += planes_per_batch_) {
         const Index planes = std::min(planes_per_batch_, piece.z_end - z);
         slab.load(z * axes_[0].reads, (z + planes - 1) * axes_[0].reads + axes_[0].span());
@@ -100,7 +101,7 @@ class WeightGradient {
           columns.push_back(list_columns(slab, z, planes, channels, phase));
         for (Index block = first_block; block < last_block; ++block) {
           for (Index p = 0; p < planes; ++p)
-            lay_out(dy, piece, z + p, block * kConvBlock, outputs_of(block), slab.pitch(),
+            lay_out(gradient, piece, z + p, block * kConvBlock, outputs_of(block), slab.pitch(),
                     p * plane, lines);
           BasicTensor<T>& block_sums = sums[static_cast<std::size_t>(block - first_block)];
           for (Index m = 0; m < mixes_; ++m)
@@ -149,25 +150,28 @@ class WeightGradient {
 
   /// The gradient of `outputs` channels in the slab's layout, rows mixed like its rows, zero where
   /// no output is; position 0 of the plane goes to element `first` of each line.
-  void lay_out(const T* dy, const Piece& piece, Index z, Index o, Index outputs, Index pitch,
+  void lay_out(Rows<T>& dy, const Piece& piece, Index z, Index o, Index outputs, Index pitch,
                Index first, BasicTensor<T>& lines) const {
     using namespace winograd;
     const Index D = g_.y_size[0], H = g_.y_size[1], W = g_.y_size[2], L = kernels_.lanes;
     const Index stride = lines.dim(2), mix_stride = kConvBlock * stride;
     const Index used = piece.rows * pitch;
     for (Index i = 0; i < outputs; ++i) {
-      const T* src = dy + ((piece.b * g_.O + o + i) * D + z) * H * W;
+      const Index channel = piece.b * g_.O + o + i;
+      const T* src = dy.input() + (channel * D + z) * H * W;
       T* dst = lines.data() + i * stride + first;
       for (Index r = 0; r < piece.rows; ++r) {
-        const Index y = piece.row + r;
         if (axes_[1].mixed) {
           std::array<const T*, kOutputs> rows;
-          for (Index j = 0; j < kOutputs; ++j)
+          for (Index j = 0; j < kOutputs; ++j) {
+            const Index y = (piece.row + r) * kOutputs + j;
             rows[static_cast<std::size_t>(j)] =
-                y * kOutputs + j < H ? src + (y * kOutputs + j) * W : zeros_.data();
+                y < H ? dy.read(src + y * W, channel, j) : zeros_.data();
+          }
           kernels_.rows.mix_gradient(rows.data(), W, dst + r * pitch, mix_stride, pitch);
         } else {
-          kernels_.rows.pad(src + y * W, W, 0, 1, dst + r * pitch, 0, pitch);
+          kernels_.rows.pad(dy.read(src + (piece.row + r) * W, channel, 0), W, 0, 1,
+                            dst + r * pitch, 0, pitch);
         }
       }
       for (Index m = 0; m < mixes_; ++m)
@@ -243,8 +247,8 @@ class WeightGradient {
 }  // namespace
 
 template <class T>
-void correlate_weight_gradient(const ConvKernels<T>& kernels, const Geometry& g, const T* x,
-                               const T* dy, T* dw) {
+void correlate_weight_gradient(const ConvKernels<T>& kernels, const Geometry& g, const Input<T>& x,
+                               const Input<T>& dy, T* dw) {
   if (g.B > 0) WeightGradient<T>(kernels, g).run(x, dy, dw);
 }
 
@@ -257,10 +261,10 @@ void bias_gradient(const ConvKernels<T>& kernels, Index B, Index C, Index N, con
     for (Index c = 0; c < C; ++c) db[c] += sums[static_cast<std::size_t>(b * C + c)];
 }
 
-template void correlate_weight_gradient(const ConvKernels<float>&, const Geometry&, const float*,
-                                        const float*, float*);
-template void correlate_weight_gradient(const ConvKernels<double>&, const Geometry&, const double*,
-                                        const double*, double*);
+template void correlate_weight_gradient(const ConvKernels<float>&, const Geometry&,
+                                        const Input<float>&, const Input<float>&, float*);
+template void correlate_weight_gradient(const ConvKernels<double>&, const Geometry&,
+                                        const Input<double>&, const Input<double>&, double*);
 template void bias_gradient(const ConvKernels<float>&, Index, Index, Index, const float*, float*);
 template void bias_gradient(const ConvKernels<double>&, Index, Index, Index, const double*,
                             double*);

@@ -267,6 +267,8 @@ template <class T>
 ConvRowKernels<T> conv_row_kernels() {
   return {.pad = pad<T>,
           .store = store<T>,
+          .normalise = norm_apply<T>,
+          .sums = norm_sums<T>,
           .mix_input = mix_input_rows<T>,
           .mix_output = mix_output_rows<T>,
           .mix_gradient = mix_gradient_rows<T>};

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include "satsurf/core/shape.h"
+#include "satsurf/ops/normalised.h"
+#include "satsurf/ops/pointwise_kernels.h"
 
 namespace satsurf {
 
@@ -17,6 +18,12 @@ struct ConvRowKernels {
   /// dst[m * phases + f] = (accumulate ? itself : 0) + bias + src[f * phase_stride + m], below n
   void (*store)(const T* src, Index phase_stride, Index phases, T bias, bool accumulate, T* dst,
                 Index n);
+
+  /// dst[p] = the normalised src[p], 0 <= p < n, as norm_apply in pointwise_kernels.h
+  void (*normalise)(Index n, const T* src, const NormRow<T>& row, Activation activation,
+                    const T* base, T* dst);
+  /// sums[0] = sum(x - shift), sums[1] = sum((x - shift)^2), as norm_sums there
+  void (*sums)(Index n, const T* x, T shift, double* sums);
 
   // The three maps of F(4, 3), see conv_winograd.h, from row to row. Mix i of what `src` points to
   // or of what goes to dst stands at i * mix_stride.

@@ -114,7 +114,25 @@ Index row_pitch(const Axis& axis) {
 }
 
 template <class T>
-Slab<T>::Slab(const ConvKernels<T>& kernels, const Axes& axes, Index C, Index rows, Index planes)
+Rows<T>::Rows(const ConvKernels<T>& kernels, const Input<T>& input, Index channels, Index size,
+              Index lines)
+    : kernels_(kernels),
+      input_(input),
+      norm_(input.affine, channels),
+      size_(size),
+      lines_(BasicTensor<T>::uninitialised({copies() ? lines : 0, size})) {}
+
+template <class T>
+const T* Rows<T>::read(const T* src, Index channel, Index line) {
+  if (!copies()) return src;
+  T* dst = lines_.data() + line * size_;
+  kernels_.rows.normalise(size_, src, norm_[channel], input_.activation, nullptr, dst);
+  return dst;
+}
+
+template <class T>
+Slab<T>::Slab(const ConvKernels<T>& kernels, const Axes& axes, const Input<T>& input,
+              Index channels, Index C, Index rows, Index planes)
     : kernels_(kernels),
       axes_(axes),
       C_(C),
@@ -124,7 +142,8 @@ Slab<T>::Slab(const ConvKernels<T>& kernels, const Axes& axes, Index C, Index ro
       plane_stride_(plane_stride<T>(axes, rows)),
       c_stride_(odd_lines<T>(planes * plane_stride_)),
       buffer_(BasicTensor<T>::uninitialised({C * c_stride_ + tail<T>(axes)})),
-      zeros_(BasicTensor<T>({axes[1].mixed ? axes[2].size : 0})) {
+      zeros_(BasicTensor<T>({axes[1].mixed ? axes[2].size : 0})),
+      rows_(kernels, input, channels, axes[2].size, winograd::kMixes) {
   // What lies between planes may serve as a row's trailing zeros; everything else load_plane
   // writes.
   const Index used = axes[1].reads * axes[2].reads * line_rows_ * pitch_;
@@ -143,8 +162,8 @@ Index Slab<T>::bytes(const Axes& axes, Index C, Index rows, Index planes) {
 }
 
 template <class T>
-void Slab<T>::open(const T* image, Index row) {
-  image_ = image;
+void Slab<T>::open(Index channel, Index row) {
+  channel_ = channel;
   row_ = row;
   next_ = 0;
 }
@@ -157,41 +176,53 @@ void Slab<T>::load(Index first, Index last) {
 template <class T>
 void Slab<T>::load_plane(Index plane) {
   const Axis &depth = axes_[0], &row = axes_[1], &column = axes_[2];
-  const Index z = plane - depth.left;
-  const bool plane_inside = z >= 0 && z < depth.size;
+  const Index z = plane - depth.left, plane_count = row.size * column.size;
   T* dst = buffer_.data() + plane % planes_ * plane_stride_;
-  for (Index c = 0; c < C_; ++c, dst += c_stride_) {
-    const T* src = plane_inside ? image_ + (c * depth.size + z) * row.size * column.size : nullptr;
-    if (row.mixed) {
-      load_mixed_rows(src, dst);
-      continue;
-    }
-    T* phase = dst;
-    for (Index f = 0; f < row.reads; ++f, phase += column.reads * line_rows_ * pitch_)
-      for (Index i = 0; i < line_rows_; ++i) {
-        const Index y = (row_ + i) * row.reads + f - row.left;
-        const bool inside = plane_inside && y >= 0 && y < row.size;
-        kernels_.rows.pad(inside ? src + y * column.size : image_, inside ? column.size : 0,
-                          column.left, column.reads, phase + i * pitch_, line_rows_ * pitch_,
-                          pitch_);
-      }
+  for (Index c = channel_; c < channel_ + C_; ++c, dst += c_stride_) {
+    const T* src =
+        z >= 0 && z < depth.size ? rows_.input() + (c * depth.size + z) * plane_count : nullptr;
+    if (row.mixed)
+      load_mixed_rows(src, c, dst);
+    else
+      load_rows(src, c, dst);
   }
 }
 
 template <class T>
-void Slab<T>::load_mixed_rows(const T* plane, T* dst) const {
+void Slab<T>::load_rows(const T* src, Index channel, T* dst) {
+  const Axis &row = axes_[1], &column = axes_[2];
+  for (Index f = 0; f < row.reads; ++f, dst += column.reads * line_rows_ * pitch_)
+    for (Index i = 0; i < line_rows_; ++i) {
+      const Index y = (row_ + i) * row.reads + f - row.left;
+      const bool inside = src != nullptr && y >= 0 && y < row.size;
+      kernels_.rows.pad(inside ? rows_.read(src + y * column.size, channel, 0) : nullptr,
+                        inside ? column.size : 0, column.left, column.reads, dst + i * pitch_,
+                        line_rows_ * pitch_, pitch_);
+    }
+}
+
+template <class T>
+void Slab<T>::load_mixed_rows(const T* src, Index channel, T* dst) {
   using namespace winograd;
   const Axis &row = axes_[1], &column = axes_[2];
-  const Index mix_stride = line_rows_ * pitch_;
+  Index known = -1;  // last row that has been read; groups of six share two
   for (Index i = 0; i < line_rows_; ++i) {
-    std::array<const T*, kMixes> src;
+    std::array<const T*, kMixes> rows;
     for (Index k = 0; k < kMixes; ++k) {
       const Index y = (row_ + i) * kOutputs + k - row.left;
-      const bool inside = plane != nullptr && y >= 0 && y < row.size;
-      src[static_cast<std::size_t>(k)] = inside ? plane + y * column.size : zeros_.data();
+      const T*& at = rows[static_cast<std::size_t>(k)];
+      if (src == nullptr || y < 0 || y >= row.size) {
+        at = zeros_.data();
+      } else if (y <= known) {
+        at = shared_[static_cast<std::size_t>(y % kMixes)];
+      } else {
+        at = rows_.read(src + y * column.size, channel, y % kMixes);
+        shared_[static_cast<std::size_t>(y % kMixes)] = at;
+        known = y;
+      }
     }
-    kernels_.rows.mix_input(src.data(), column.size, column.left, dst + i * pitch_, mix_stride,
-                            pitch_);
+    kernels_.rows.mix_input(rows.data(), column.size, column.left, dst + i * pitch_,
+                            line_rows_ * pitch_, pitch_);
   }
 }
 
@@ -234,6 +265,8 @@ Index rows_in_cache(const Axes& axes, Index C, Index planes) {
 
 template Index rows_in_cache<float>(const Axes&, Index, Index);
 template Index rows_in_cache<double>(const Axes&, Index, Index);
+template class Rows<float>;
+template class Rows<double>;
 template class Slab<float>;
 template class Slab<double>;
 

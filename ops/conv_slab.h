@@ -63,19 +63,47 @@ Axes with_mixed_rows(Axes axes, Index B);
 /// Smallest row pitch: the zeros behind a row may serve as those in front of the next.
 Index row_pitch(const Axis& columns);
 
+/// Rows of an input as a convolution is to see them: where they are, or normalised in a line of
+/// their own.
+template <class T>
+class Rows {
+ public:
+  /// channels  of all images together
+  /// size      of a row
+  /// lines     normalised rows that are there at the same time
+  Rows(const ConvKernels<T>& kernels, const Input<T>& input, Index channels, Index size,
+       Index lines);
+  const T* input() const { return input_.x; }
+  /// Whether `read` copies.
+  bool copies() const { return !input_.plain(); }
+  /// The row at `src` of one channel (numbered through all images), in line number `line`.
+  const T* read(const T* src, Index channel, Index line);
+
+ private:
+  const ConvKernels<T>& kernels_;
+  const Input<T> input_;
+  const NormRows<T> norm_;
+  const Index size_;
+  BasicTensor<T> lines_;
+};
+
 /// A ring of padded planes of C channels. Moving on by one output plane loads only what is new.
 template <class T>
 class Slab {
  public:
-  /// rows    output rows (of the largest phase) that the planes serve
-  /// planes  in the ring
-  Slab(const ConvKernels<T>& kernels, const Axes& axes, Index C, Index rows, Index planes);
+  /// input     whose channels are taken
+  /// channels  of all its images together
+  /// C         that the slab holds
+  /// rows      output rows (of the largest phase) that the planes serve
+  /// planes    in the ring
+  Slab(const ConvKernels<T>& kernels, const Axes& axes, const Input<T>& input, Index channels,
+       Index C, Index rows, Index planes);
 
   static Index bytes(const Axes& axes, Index C, Index rows, Index planes);
 
-  /// Starts on the outputs from `row` on of the image whose first channel is `image`; the ring is
-  /// empty.
-  void open(const T* image, Index row);
+  /// Starts on the outputs from `row` on of the channels from `channel` on, numbered through all
+  /// images; the ring is empty.
+  void open(Index channel, Index row);
   /// Fills the ring with the padded planes [first, last).
   void load(Index first, Index last);
 
@@ -87,14 +115,17 @@ class Slab {
 
  private:
   void load_plane(Index plane);
-  void load_mixed_rows(const T* plane, T* dst) const;
+  /// src  the channel's plane, nullptr outside the image
+  void load_rows(const T* src, Index channel, T* dst);
+  void load_mixed_rows(const T* src, Index channel, T* dst);
 
   const ConvKernels<T>& kernels_;
   const Axes& axes_;
   Index C_, planes_, pitch_, line_rows_, plane_stride_, c_stride_;
   BasicTensor<T> buffer_, zeros_;
-  const T* image_ = nullptr;
-  Index row_ = 0, next_ = 0;
+  Rows<T> rows_;
+  std::array<const T*, 6> shared_{};  ///< rows that the next group of mixed rows reads again
+  Index channel_ = 0, row_ = 0, next_ = 0;
 };
 
 /// One stretch of work: output rows [row, row + rows) of output planes [z, z_end) of image b,

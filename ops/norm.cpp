@@ -6,51 +6,37 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/pointwise_kernels.h"
 
-#include <algorithm>
 #include <cmath>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace satsurf {
 namespace {
 
-constexpr Index kChunk = 1 << 14;  // elements whose sums are taken together
-
-/// x as rows (b, c) of S positions, cut into chunks.
-struct Layout {
-  Index B, C, S, G, chunks;
-
-  Index rows() const { return B * C; }
-  Index per_group() const { return C / G * S; }
-  /// body(row, chunk, begin, end) with the element range in x; chunks are grouped into pieces.
-  template <class Body>
-  void each_chunk(const Body& body) const {
-    const Index grain = std::max<Index>(1, kChunk / std::max<Index>(1, std::min(S, kChunk)));
-    for_range(rows() * chunks, grain, [&](Index first, Index last) {
-      for (Index k = first; k < last; ++k) {
-        const Index row = k / chunks, begin = k % chunks * kChunk;
-        body(row, k, row * S + begin, row * S + std::min(S, begin + kChunk));
-      }
-    });
-  }
+/// What one group of one image is normalised by.
+struct Group {
+  double count, mean, rstd;
 };
 
-/// Two sums that are always taken together; the kernels write them side by side.
-struct Pair {
-  double value[2] = {0, 0};
-  Pair& operator+=(const Pair& o) {
-    value[0] += o.value[0];
-    value[1] += o.value[1];
-    return *this;
-  }
-};
 std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+
+std::vector<Group> groups_of(const ChannelMoments& moments, Index channels, double epsilon) {
+  std::vector<Group> out(moments.size() / at(channels));
+  for (std::size_t q = 0; q < out.size(); ++q) {
+    Moments m;
+    for (Index c = 0; c < channels; ++c) m.merge(moments[q * at(channels) + at(c)]);
+    out[q] = {m.count, m.mean, 1 / std::sqrt(m.m2 / m.count + epsilon)};
+  }
+  return out;
+}
 
 }  // namespace
 
 template <class T>
-BasicVar<T> group_norm(BasicVar<T> x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
-                       Index groups, Activation activation, T epsilon) {
+Normalised<T> group_normalised(const BasicVar<T>& x, const BasicVar<T>& gamma,
+                               const BasicVar<T>& beta, Index groups, Activation activation,
+                               T epsilon, const ChannelMoments* moments) {
   const Shape& s = x.shape();
   if (s.rank() < 3 || s.count() == 0)
     throw ShapeError("group_norm: x has shape " + s.str() +
@@ -60,84 +46,71 @@ BasicVar<T> group_norm(BasicVar<T> x, const BasicVar<T>& gamma, const BasicVar<T
   if (groups < 1 || s[1] % groups != 0)
     throw ShapeError("group_norm: " + std::to_string(groups) + " groups, expected a divisor of " +
                      std::to_string(s[1]) + " channels");
-  const Index S = s.count(2, s.rank());
-  const Layout lay{s[0], s[1], S, groups, (S + kChunk - 1) / kChunk};
-  const Index C = lay.C, G = lay.G, group_channels = C / G;
+  const Index B = s[0], C = s[1], per_group = C / groups;
+  if (moments != nullptr && moments->size() != at(B * C))
+    throw ShapeError("group_norm: " + std::to_string(moments->size()) +
+                     " moments, expected one for each channel of " + s.str());
+  const std::vector<Group> group =
+      groups_of(moments == nullptr ? channel_moments(x.value()) : *moments, per_group,
+                static_cast<double>(epsilon));
 
-  // Moments about the group's first element: one pass, and no cancellation where the mean is large.
-  std::vector<Pair> sums(at(lay.rows() * lay.chunks));
-  const T* px = x.value().data();
-  const auto add_up = SATSURF_DISPATCH(norm_sums<T>);
-  lay.each_chunk([&](Index row, Index k, Index begin, Index end) {
-    add_up(end - begin, px + begin, px[row / group_channels * group_channels * S],
-           sums[at(k)].value);
-  });
-  std::vector<T> rstd(at(lay.B * G)), shift(at(lay.B * G));  // x_hat = rstd x + shift
-  for (Index q = 0; q < lay.B * G; ++q) {
-    Pair p;
-    for (Index k = q * group_channels * lay.chunks; k < (q + 1) * group_channels * lay.chunks; ++k)
-      p += sums[at(k)];
-    const double M = static_cast<double>(lay.per_group()), m = p.value[0] / M;
-    const double variance = std::max(0.0, p.value[1] / M - m * m);
-    const double r = 1 / std::sqrt(variance + static_cast<double>(epsilon));
-    rstd[at(q)] = static_cast<T>(r);
-    shift[at(q)] = static_cast<T>(-r * (m + static_cast<double>(px[q * lay.per_group()])));
+  auto affine = BasicTensor<T>::uninitialised({3, B, C});
+  for (Index row = 0; row < B * C; ++row) {
+    const Group& g = group[at(row / per_group)];
+    affine[row] = static_cast<T>(g.mean);
+    affine[B * C + row] = static_cast<T>(static_cast<double>(gamma.value()[row % C]) * g.rstd);
+    affine[2 * B * C + row] = beta.value()[row % C];
   }
-
-  auto out = x.reuse_or_new();
-  const auto apply = SATSURF_DISPATCH(norm_apply<T>);
-  lay.each_chunk([&](Index row, Index, Index begin, Index end) {
-    const Index c = row % C, q = row / group_channels;
-    const NormRow<T> r{rstd[at(q)], shift[at(q)], gamma.value()[c], beta.value()[c]};
-    apply(end - begin, px + begin, r, activation, out.data() + begin);
-  });
-
-  return BasicVar<T>::record("group_norm", out, {x, gamma, beta}, [=](Node<T>& n) {
-    const T *g = n.grad.data(), *v = n.in(0), *ga = n.in(1), *be = n.in(2);
-    T *dx = n.grad_in(0), *dgamma = n.grad_in(1), *dbeta = n.grad_in(2);
-    const auto row_of = [&](Index row) {
-      const Index c = row % C, q = row / group_channels;
-      return NormRow<T>{rstd[at(q)], shift[at(q)], ga[c], be[c]};
-    };
-    // dz = g act'(z): GELU's slope is dear, so it is kept for the second pass; ReLU's is a
-    // comparison.
-    BasicTensor<T> kept;
-    if (dx != nullptr && activation == Activation::gelu)
-      kept = BasicTensor<T>::uninitialised(n.value.shape());
-    std::vector<Pair> part(at(lay.rows() * lay.chunks));  // sums of dz and of dz x_hat
-    const auto slopes = SATSURF_DISPATCH(norm_slopes<T>);
-    lay.each_chunk([&](Index row, Index k, Index begin, Index end) {
-      slopes(end - begin, v + begin, g + begin, row_of(row), activation,
-             kept.empty() ? nullptr : kept.data() + begin, part[at(k)].value);
-    });
-    std::vector<Pair> row_sum(at(lay.rows())), group_mean(at(lay.B * G));
-    for (Index row = 0; row < lay.rows(); ++row) {
-      for (Index k = row * lay.chunks; k < (row + 1) * lay.chunks; ++k)
-        row_sum[at(row)] += part[at(k)];
-      const double scale = static_cast<double>(ga[row % C]) / static_cast<double>(lay.per_group());
-      for (std::size_t m = 0; m < 2; ++m)
-        group_mean[at(row / group_channels)].value[m] += scale * row_sum[at(row)].value[m];
-    }
-    for (Index c = 0; c < C; ++c) {
-      Pair p;
-      for (Index b = 0; b < lay.B; ++b) p += row_sum[at(b * C + c)];
-      if (dbeta != nullptr) dbeta[c] += static_cast<T>(p.value[0]);
-      if (dgamma != nullptr) dgamma[c] += static_cast<T>(p.value[1]);
-    }
-    if (dx == nullptr) return;
-    const T* dz = kept.empty() ? g : kept.data();
-    const auto gradient = SATSURF_DISPATCH(norm_gradient<T>);
-    lay.each_chunk([&](Index row, Index, Index begin, Index end) {
-      // dx = rstd (gamma dz - mean(gamma dz) - x_hat mean(gamma dz x_hat)), means over the group
-      const NormRow<T> r = row_of(row);
-      const auto& m = group_mean[at(row / group_channels)].value;
-      gradient(end - begin, v + begin, dz + begin, r, activation == Activation::relu,
-               r.rstd * r.gamma, -r.rstd * static_cast<T>(m[1]), -r.rstd * static_cast<T>(m[0]),
-               dx + begin);
-    });
-  });
+  auto coefficients = BasicVar<T>::record(
+      "group_norm", affine, {x, gamma, beta}, [group, B, C, per_group](Node<T>& n) {
+        const T *g = n.grad.data(), *ga = n.in(1);
+        T *dx = n.grad_in(0), *dgamma = n.grad_in(1), *dbeta = n.grad_in(2);
+        std::vector<double> dmean(group.size()), drstd(group.size());
+        for (Index row = 0; row < B * C; ++row) {
+          const std::size_t q = at(row / per_group);
+          const Index c = row % C;
+          const double dscale = static_cast<double>(g[B * C + row]);
+          dmean[q] += static_cast<double>(g[row]);
+          drstd[q] += static_cast<double>(ga[c]) * dscale;
+          if (dgamma != nullptr) dgamma[c] += static_cast<T>(group[q].rstd * dscale);
+          if (dbeta != nullptr) dbeta[c] += g[2 * B * C + row];
+        }
+        if (dx == nullptr) return;
+        // mean = sum(x) / M and rstd = (sum((x - mean)^2) / M + epsilon)^(-1/2)
+        const auto kernel = SATSURF_DISPATCH(norm_add_linear<T>);
+        const Index size = n.inputs[0]->value.count() / (B * C);
+        constexpr Index kChunk = 1 << 14;
+        for_range(B * C * size, kChunk, [&](Index begin, Index end) {
+          for (Index i = begin; i < end;) {
+            const Index row = i / size, stop = std::min(end, (row + 1) * size);
+            const std::size_t q = at(row / per_group);
+            const Group& own = group[q];
+            const double slope = -std::pow(own.rstd, 3) * drstd[q] / own.count;
+            kernel(stop - i, n.in(0) + i,
+                   NormRow<T>{static_cast<T>(own.mean), static_cast<T>(slope),
+                              static_cast<T>(dmean[q] / own.count)},
+                   dx + i);
+            i = stop;
+          }
+        });
+      });
+  return {x, coefficients, activation};
 }
 
+template <class T>
+BasicVar<T> group_norm(BasicVar<T> x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
+                       Index groups, Activation activation, T epsilon) {
+  auto value = group_normalised(x, gamma, beta, groups, activation, epsilon);
+  x = {};  // so that the value holds the last copy
+  return evaluate(std::move(value));
+}
+
+template Normalised<float> group_normalised(const BasicVar<float>&, const BasicVar<float>&,
+                                            const BasicVar<float>&, Index, Activation, float,
+                                            const ChannelMoments*);
+template Normalised<double> group_normalised(const BasicVar<double>&, const BasicVar<double>&,
+                                             const BasicVar<double>&, Index, Activation, double,
+                                             const ChannelMoments*);
 template BasicVar<float> group_norm(BasicVar<float>, const BasicVar<float>&, const BasicVar<float>&,
                                     Index, Activation, float);
 template BasicVar<double> group_norm(BasicVar<double>, const BasicVar<double>&,

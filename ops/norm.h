@@ -1,14 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include "satsurf/core/var.h"
+#include "satsurf/ops/normalised.h"
 
 namespace satsurf {
 
-/// What a normalisation applies to its result before it is stored.
-enum class Activation { none, relu, gelu };
-
-/// Group normalisation and activation in one pass:
+/// Group normalisation and activation:
 ///   y = act(gamma_c (x - mean_g) / sqrt(var_g + epsilon) + beta_c)
 /// with moments over the channels of group g and all positions of one batch element (biased
 /// variance).
@@ -20,10 +17,17 @@ enum class Activation { none, relu, gelu };
 /// epsilon      added to the variance
 /// returns      x's shape
 /// throws       ShapeError
-/// memory       backward keeps x itself and two numbers per group; without a tape a temporary's
-///              buffer takes the result
+/// memory       backward keeps x itself; without a tape a temporary's buffer takes the result
 template <class T>
 BasicVar<T> group_norm(BasicVar<T> x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
                        Index groups, Activation activation = Activation::none, T epsilon = T(1e-5));
+
+/// The same, left to whoever reads it.
+/// moments  of x's channels, if whoever made x has gathered them
+template <class T>
+Normalised<T> group_normalised(const BasicVar<T>& x, const BasicVar<T>& gamma,
+                               const BasicVar<T>& beta, Index groups,
+                               Activation activation = Activation::none, T epsilon = T(1e-5),
+                               const ChannelMoments* moments = nullptr);
 
 }  // namespace satsurf

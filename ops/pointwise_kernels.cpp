@@ -2,7 +2,7 @@
 #include "satsurf/ops/pointwise_kernels.h"
 
 #include "satsurf/core/simd.h"
-#include "satsurf/ops/norm.h"
+#include "satsurf/ops/normalised.h"
 
 namespace satsurf::SATSURF_ISA_NS {
 namespace {
@@ -184,48 +184,49 @@ void norm_sums(Index n, const T* x, T shift, double* sums) {
 }
 
 template <class T>
-void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, T* y) {
+void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
+                T* y) {
+  const Batch<T> centre(row.centre), scale(row.scale), shift(row.shift);
   with_activation(activation, [&](const auto& act) {
-    each_batch<T>(n, [&](Index i, Index k) {
-      const Batch<T> x_hat = xsimd::fma(load(x + i, k), Batch<T>(row.rstd), Batch<T>(row.shift));
-      store(y + i, act.value(xsimd::fma(x_hat, Batch<T>(row.gamma), Batch<T>(row.beta))), k);
-    });
+    const auto value = [&](Index i, Index k) {
+      return act.value(xsimd::fma(scale, load(x + i, k) - centre, shift));
+    };
+    if (base == nullptr)
+      each_batch<T>(n, [&](Index i, Index k) { store(y + i, value(i, k), k); });
+    else
+      each_batch<T>(n, [&](Index i, Index k) { store(y + i, load(base + i, k) + value(i, k), k); });
   });
 }
 
 template <class T>
-void norm_slopes(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                 T* dz, double* sums) {
+void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
+                   T* d, double* sums) {
+  const Batch<T> centre(row.centre), scale(row.scale), shift(row.shift);
   PairSum<T> total;
   with_activation(activation, [&](const auto& act) {
-    each_batch<T>(n, [&](Index i, Index k) {
-      const Batch<T> x_hat = xsimd::fma(load(x + i, k), Batch<T>(row.rstd), Batch<T>(row.shift));
-      const Batch<T> z = xsimd::fma(x_hat, Batch<T>(row.gamma), Batch<T>(row.beta));
-      const Batch<T> slope = act.times_slope(load(g + i, k), z);  // 0 beyond k, where g is 0
-      if (dz != nullptr) store(dz + i, slope, k);
-      total.add(slope, slope * x_hat);
-    });
+    const auto slope = [&](Index i, Index k) {
+      const Batch<T> centred = load(x + i, k) - centre;
+      // 0 beyond k, where g is 0
+      const Batch<T> dz = act.times_slope(load(g + i, k), xsimd::fma(scale, centred, shift));
+      total.add(dz, dz * centred);
+      return dz;
+    };
+    if (d == nullptr)
+      each_batch<T>(n, [&](Index i, Index k) { slope(i, k); });
+    else
+      each_batch<T>(n, [&](Index i, Index k) {
+        store(d + i, xsimd::fma(scale, slope(i, k), load(d + i, k)), k);
+      });
   });
   total.result(sums);
 }
 
 template <class T>
-void norm_gradient(Index n, const T* x, const T* dz, const NormRow<T>& row, bool relu_mask, T a,
-                   T b, T c, T* d) {
-  const auto loop = [&](const auto& act) {
-    each_batch<T>(n, [&](Index i, Index k) {
-      const Batch<T> v = load(x + i, k);
-      const Batch<T> x_hat = xsimd::fma(v, Batch<T>(row.rstd), Batch<T>(row.shift));
-      const Batch<T> z = xsimd::fma(x_hat, Batch<T>(row.gamma), Batch<T>(row.beta));
-      const Batch<T> slope = act.times_slope(load(dz + i, k), z);
-      const Batch<T> rest = xsimd::fma(x_hat, Batch<T>(b), Batch<T>(c));
-      store(d + i, load(d + i, k) + xsimd::fma(slope, Batch<T>(a), rest), k);
-    });
-  };
-  if (relu_mask)
-    loop(Relu{});
-  else
-    loop(NoActivation{});
+void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d) {
+  const Batch<T> centre(row.centre), scale(row.scale), shift(row.shift);
+  each_batch<T>(n, [&](Index i, Index k) {
+    store(d + i, load(d + i, k) + xsimd::fma(scale, load(x + i, k) - centre, shift), k);
+  });
 }
 
 template <class T>
@@ -281,16 +282,16 @@ template void logistic(Index, const float*, float*);
 template void logistic(Index, const double*, double*);
 template void norm_sums(Index, const float*, float, double*);
 template void norm_sums(Index, const double*, double, double*);
-template void norm_apply(Index, const float*, const NormRow<float>&, Activation, float*);
-template void norm_apply(Index, const double*, const NormRow<double>&, Activation, double*);
-template void norm_slopes(Index, const float*, const float*, const NormRow<float>&, Activation,
-                          float*, double*);
-template void norm_slopes(Index, const double*, const double*, const NormRow<double>&, Activation,
-                          double*, double*);
-template void norm_gradient(Index, const float*, const float*, const NormRow<float>&, bool, float,
-                            float, float, float*);
-template void norm_gradient(Index, const double*, const double*, const NormRow<double>&, bool,
-                            double, double, double, double*);
+template void norm_apply(Index, const float*, const NormRow<float>&, Activation, const float*,
+                         float*);
+template void norm_apply(Index, const double*, const NormRow<double>&, Activation, const double*,
+                         double*);
+template void norm_backward(Index, const float*, const float*, const NormRow<float>&, Activation,
+                            float*, double*);
+template void norm_backward(Index, const double*, const double*, const NormRow<double>&, Activation,
+                            double*, double*);
+template void norm_add_linear(Index, const float*, const NormRow<float>&, float*);
+template void norm_add_linear(Index, const double*, const NormRow<double>&, double*);
 template void softmax(Index, Index, Index, const float*, float*, float*);
 template void softmax(Index, Index, Index, const double*, double*, double*);
 template void softmax_backward(Index, Index, Index, const float*, const float*, float*, float*);

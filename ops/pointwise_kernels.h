@@ -10,11 +10,10 @@
 //   gelu_backward    d += g (Phi(x) + x phi(x))
 //   logistic         y = 1 / (1 + exp(-x))
 //   norm_sums        sums[0] = sum(x - shift), sums[1] = sum((x - shift)^2)
-//   norm_apply       y = act(scale x + offset)
-//   norm_slopes      dz = g act'(z), z = gamma x_hat + beta, x_hat = rstd x + shift;
-//                    sums[0] = sum(dz), sums[1] = sum(dz x_hat); dz is stored unless nullptr
-//   norm_gradient    d += a dz + b x + c, dz as stored, or from g by the ReLU's mask (z > 0) or no
-//                    activation
+//   norm_apply       y = base + act(z), z = scale (x - centre) + shift; no base if nullptr
+//   norm_backward    dz = g act'(z), d += scale dz; sums[0] = sum(dz), sums[1] = sum(dz (x -
+//                    centre)); d may be nullptr
+//   norm_add_linear  d += z
 //   softmax          over D planes `stride` apart, n <= kSoftmaxTile pixels;
 //                    tile [D kSoftmaxTile]
 //   softmax_backward d += p (g - sum_k p_k g_k); tile [kSoftmaxTile]
@@ -27,10 +26,25 @@ enum class Activation;
 /// Pixels worked on together: 64 hypotheses of them are half a first-level cache.
 inline constexpr Index kSoftmaxTile = 64;
 
-/// One row (b, c) of a group norm: x_hat = rstd x + shift, z = gamma x_hat + beta.
+/// How one row (b, c) is normalised: z = scale (x - centre) + shift.
 template <class T>
 struct NormRow {
-  T rstd, shift, gamma, beta;
+  T centre, scale, shift;
+};
+
+/// The rows of an affine tensor [3 rows], or of none for the identity.
+template <class T>
+class NormRows {
+ public:
+  NormRows(const T* affine, Index rows) : affine_(affine), rows_(rows) {}
+  NormRow<T> operator[](Index row) const {
+    if (affine_ == nullptr) return {T(0), T(1), T(0)};
+    return {affine_[row], affine_[rows_ + row], affine_[2 * rows_ + row]};
+  }
+
+ private:
+  const T* affine_;
+  Index rows_;
 };
 
 namespace isa_baseline {
@@ -45,13 +59,13 @@ void logistic(Index n, const T* x, T* y);
 template <class T>
 void norm_sums(Index n, const T* x, T shift, double* sums);
 template <class T>
-void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, T* y);
+void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
+                T* y);
 template <class T>
-void norm_slopes(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                 T* dz, double* sums);
+void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
+                   T* d, double* sums);
 template <class T>
-void norm_gradient(Index n, const T* x, const T* dz, const NormRow<T>& row, bool relu_mask, T a,
-                   T b, T c, T* d);
+void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
 template <class T>
 void softmax(Index D, Index stride, Index n, const T* x, T* y, T* tile);
 template <class T>
@@ -70,13 +84,13 @@ void logistic(Index n, const T* x, T* y);
 template <class T>
 void norm_sums(Index n, const T* x, T shift, double* sums);
 template <class T>
-void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, T* y);
+void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
+                T* y);
 template <class T>
-void norm_slopes(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                 T* dz, double* sums);
+void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
+                   T* d, double* sums);
 template <class T>
-void norm_gradient(Index n, const T* x, const T* dz, const NormRow<T>& row, bool relu_mask, T a,
-                   T b, T c, T* d);
+void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
 template <class T>
 void softmax(Index D, Index stride, Index n, const T* x, T* y, T* tile);
 template <class T>
@@ -95,13 +109,13 @@ void logistic(Index n, const T* x, T* y);
 template <class T>
 void norm_sums(Index n, const T* x, T shift, double* sums);
 template <class T>
-void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, T* y);
+void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
+                T* y);
 template <class T>
-void norm_slopes(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                 T* dz, double* sums);
+void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
+                   T* d, double* sums);
 template <class T>
-void norm_gradient(Index n, const T* x, const T* dz, const NormRow<T>& row, bool relu_mask, T a,
-                   T b, T c, T* d);
+void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
 template <class T>
 void softmax(Index D, Index stride, Index n, const T* x, T* y, T* tile);
 template <class T>

@@ -89,6 +89,74 @@ double difference(const BasicTensor<T>& a, const Doubles& b) {
   return worst / scale;
 }
 
+/// The same of moments and the channels they are of.
+template <class T>
+double difference(const ChannelMoments& moments, const BasicTensor<T>& t, Index channels) {
+  const Index n = t.count() / channels;
+  Doubles got({3 * channels}), want({3 * channels});
+  for (Index c = 0; c < channels; ++c) {
+    const Moments& m = moments.at(static_cast<std::size_t>(c));
+    double mean = 0, m2 = 0;
+    for (Index i = 0; i < n; ++i)
+      mean += static_cast<double>(t[c * n + i]) / static_cast<double>(n);
+    for (Index i = 0; i < n; ++i) m2 += std::pow(static_cast<double>(t[c * n + i]) - mean, 2);
+    got[3 * c] = m.count / static_cast<double>(n);
+    got[3 * c + 1] = m.mean;
+    got[3 * c + 2] = m.m2 / static_cast<double>(n);
+    want[3 * c] = 1;
+    want[3 * c + 1] = mean;
+    want[3 * c + 2] = m2 / static_cast<double>(n);
+  }
+  return difference(got, want);
+}
+
+/// act(scale (x - centre) + shift) with an affine [3 channels].
+Doubles normalised_ref(const Doubles& x, const Doubles& affine, Activation activation) {
+  const Index channels = affine.count() / 3, n = x.count() / channels;
+  auto out = x.clone();
+  for (Index i = 0; i < x.count(); ++i) {
+    const double z =
+        affine[channels + i / n] * (x[i] - affine[i / n]) + affine[2 * channels + i / n];
+    out[i] = activation == Activation::relu   ? std::max(z, 0.0)
+             : activation == Activation::gelu ? z * 0.5 * std::erfc(-z / std::sqrt(2.0))
+                                              : z;
+  }
+  return out;
+}
+
+/// An affine [3 channels] that leaves most values above 0.
+Doubles affine(Index channels, std::uint64_t seed) {
+  auto t = normal({3 * channels}, seed);
+  for (Index i = 0; i < t.count(); ++i) t[i] = 0.2 * t[i] + (i < channels ? 0 : 1);
+  return t;
+}
+
+/// Inputs that are normalised while they are read, in every role.
+template <class T>
+void check_normalised_case(const Case& c, Isa isa, Activation activation) {
+  const auto& kernels = kernels_of<T>(isa);
+  const conv::Geometry g = geometry(c);
+  const double tolerance = sizeof(T) == 4 ? 3e-6 : 1e-14;
+  const auto x = normal({g.B * g.C * g.x_count()}, 1), y = normal({g.B * g.O * g.y_count()}, 2),
+             w = normal({g.O * g.C * g.taps()}, 3), by_x = affine(g.B * g.C, 4),
+             by_y = affine(g.B * g.O, 5);
+  const auto xt = x.cast<T>(), yt = y.cast<T>(), wt = w.cast<T>(), by_xt = by_x.cast<T>(),
+             by_yt = by_y.cast<T>();
+  const conv::Input<T> in_x{xt.data(), by_xt.data(), activation},
+      in_y{yt.data(), by_yt.data(), activation};
+  const auto nx = normalised_ref(x, by_x, activation), ny = normalised_ref(y, by_y, activation);
+
+  auto out = BasicTensor<T>(y.shape(), static_cast<T>(NAN));
+  conv::correlate<T>(kernels, g, in_x, wt.data(), nullptr, out.data(), false);
+  CHECK(difference(out, correlate_ref(g, nx, w)) < tolerance);
+  out = BasicTensor<T>(x.shape(), static_cast<T>(NAN));
+  conv::correlate_adjoint<T>(kernels, g, in_y, wt.data(), nullptr, out.data(), false);
+  CHECK(difference(out, correlate_adjoint_ref(g, ny, w)) < tolerance);
+  out = BasicTensor<T>(w.shape());
+  conv::correlate_weight_gradient<T>(kernels, g, in_x, in_y, out.data());
+  CHECK(difference(out, weight_gradient_ref(g, nx, ny)) < tolerance);
+}
+
 template <class T>
 void check_case(const Case& c, Isa isa) {
   const auto& kernels = kernels_of<T>(isa);
@@ -107,26 +175,31 @@ void check_case(const Case& c, Isa isa) {
   // Overwriting starts from NaN, so that an element which nobody writes shows.
   const auto y_ref = correlate_ref(g, x, w);
   auto out = BasicTensor<T>(y.shape(), static_cast<T>(NAN));
-  conv::correlate(kernels, g, xt.data(), wt.data(), bias_yt.data(), out.data(), false);
+  ChannelMoments moments;
+  conv::correlate<T>(kernels, g, {xt.data()}, wt.data(), bias_yt.data(), out.data(), false,
+                     &moments);
   CHECK(difference(out, plus_bias(y_ref.clone(), bias_y, g.y_count())) < tolerance);
+  CHECK(difference(moments, out, g.B * g.O) < 10 * tolerance);
   out = yt.clone();
-  conv::correlate<T>(kernels, g, xt.data(), wt.data(), nullptr, out.data(), true);
+  conv::correlate<T>(kernels, g, {xt.data()}, wt.data(), nullptr, out.data(), true);
   auto sum = y_ref.clone();
   for (Index i = 0; i < sum.count(); ++i) sum[i] += y[i];
   CHECK(difference(out, sum) < tolerance);
 
   const auto x_ref = correlate_adjoint_ref(g, y, w);
   out = BasicTensor<T>(x.shape(), static_cast<T>(NAN));
-  conv::correlate_adjoint(kernels, g, yt.data(), wt.data(), bias_xt.data(), out.data(), false);
+  conv::correlate_adjoint<T>(kernels, g, {yt.data()}, wt.data(), bias_xt.data(), out.data(), false,
+                             &moments);
   CHECK(difference(out, plus_bias(x_ref.clone(), bias_x, g.x_count())) < tolerance);
+  CHECK(difference(moments, out, g.B * g.C) < 10 * tolerance);
   out = xt.clone();
-  conv::correlate_adjoint<T>(kernels, g, yt.data(), wt.data(), nullptr, out.data(), true);
+  conv::correlate_adjoint<T>(kernels, g, {yt.data()}, wt.data(), nullptr, out.data(), true);
   sum = x_ref.clone();
   for (Index i = 0; i < sum.count(); ++i) sum[i] += x[i];
   CHECK(difference(out, sum) < tolerance);
 
   out = first_w.cast<T>();
-  conv::correlate_weight_gradient(kernels, g, xt.data(), yt.data(), out.data());
+  conv::correlate_weight_gradient<T>(kernels, g, {xt.data()}, {yt.data()}, out.data());
   sum = weight_gradient_ref(g, x, y);
   for (Index i = 0; i < sum.count(); ++i) sum[i] += first_w[i];
   CHECK(difference(out, sum) < tolerance);
@@ -166,6 +239,42 @@ TEST_CASE("convolution kernels agree with nested loops on every instruction set"
       check_case<float>(c, isa);
       check_case<double>(c, isa);
     }
+  }
+}
+
+TEST_CASE("convolutions normalise their inputs while they read them") {
+  for (const Isa isa : {Isa::baseline, Isa::avx2, Isa::avx512}) {
+    if (!available(isa)) continue;
+    for (const Case& c : kCases)
+      for (const Activation activation : {Activation::none, Activation::relu, Activation::gelu}) {
+        CAPTURE(std::string(isa_name(isa)));
+        CAPTURE(std::string(c.name));
+        check_normalised_case<float>(c, isa, activation);
+        check_normalised_case<double>(c, isa, activation);
+      }
+  }
+}
+
+TEST_CASE("gradients of convolutions of normalised values") {
+  for (const Activation activation : {Activation::none, Activation::relu, Activation::gelu}) {
+    const auto of = [activation](const DoubleVars& v) {
+      return Normalised<double>(v[0], v[1], activation);
+    };
+    CHECK(gradcheck(
+        [of](const DoubleVars& v) {
+          return conv2d(of(v), v[2], v[3], {.padding = {1, 1}});
+        },
+        {normal({2, 3, 5, 7}, 1), normal({3, 2, 3}, 2), normal({4, 3, 3, 3}, 3), normal({4}, 4)}));
+    CHECK(gradcheck(
+        [of](const DoubleVars& v) {
+          return conv3d(of(v), v[2], {}, {.stride = {2, 2, 2}, .padding = {1, 1, 1}});
+        },
+        {normal({2, 2, 4, 3, 6}, 5), normal({3, 2, 2}, 6), normal({3, 2, 3, 3, 3}, 7)}));
+    CHECK(gradcheck(
+        [of](const DoubleVars& v) {
+          return conv_transpose3d(of(v), v[2], {}, {{2, 2, 2}, {1, 1, 1}, {1, 1, 1}});
+        },
+        {normal({2, 2, 2, 3, 3}, 8), normal({3, 2, 2}, 9), normal({2, 3, 3, 3, 3}, 10)}));
   }
 }
 

@@ -114,6 +114,61 @@ TEST_CASE("group_norm gradient") {
   }
 }
 
+TEST_CASE("gradients of normalised values") {
+  for (const Activation a : kActivations) {
+    CHECK(gradcheck(
+        [=](const test::DoubleVars& v) { return evaluate(Normalised<double>(v[0], v[1], a)); },
+        {normal({2, 3, 5, 4}, 40), normal({3, 2, 3}, 41)}));
+    CHECK(gradcheck(
+        [=](const test::DoubleVars& v) {
+          return add(Normalised<double>(v[0], v[1], a), Normalised<double>(v[2]));
+        },
+        {normal({2, 3, 5}, 42), normal({3, 2, 3}, 43), normal({2, 3, 5}, 44)}));
+    // the same value on both sides, and its normalisation made of it
+    CHECK(gradcheck(
+        [=](const test::DoubleVars& v) {
+          const auto n = group_normalised(v[0], v[1], v[2], 2, a);
+          return add(n, Normalised<double>(v[0], n.affine, Activation::gelu));
+        },
+        {normal({2, 4, 6}, 45), normal({4}, 46), normal({4}, 47)}));
+  }
+}
+
+TEST_CASE("moments of channels") {
+  // a mean far above the spread, and channels of more than one chunk
+  auto x = normal({2, 3, 20011}, 50);
+  for (Index i = 0; i < x.count(); ++i) x[i] += 1000;
+  const ChannelMoments got = channel_moments(x.cast<float>());
+  REQUIRE(got.size() == 6);
+  for (Index row = 0; row < 6; ++row) {
+    double mean = 0, m2 = 0;
+    for (Index i = 0; i < 20011; ++i) mean += x[row * 20011 + i] / 20011;
+    for (Index i = 0; i < 20011; ++i) m2 += std::pow(x[row * 20011 + i] - mean, 2);
+    const Moments& m = got[static_cast<std::size_t>(row)];
+    CHECK(m.count == 20011);
+    CHECK(std::abs(m.mean - mean) < 1e-5);
+    CHECK(std::abs(m.m2 / m2 - 1) < 1e-5);
+  }
+  Moments none;
+  none.merge({});
+  CHECK(none.count == 0);
+  none.merge(got[0]);
+  CHECK(none.mean == got[0].mean);
+}
+
+TEST_CASE("normalised values refuse what does not fit") {
+  const BasicVar<double> x(BasicTensor<double>({2, 3, 4})), flat(BasicTensor<double>({2, 3}));
+  CHECK_THROWS_WITH_AS(evaluate(Normalised<double>(x, flat, Activation::none)),
+                       "evaluate: affine has shape [2,3], expected [3,2,3] for x [2,3,4]",
+                       ShapeError);
+  CHECK_THROWS_WITH_AS(evaluate(Normalised<double>(flat)),
+                       "evaluate: x has shape [2,3], expected [B C ...] of rank 3 to 5",
+                       ShapeError);
+  CHECK_THROWS_AS(add(Normalised<double>(x),
+                      Normalised<double>(BasicVar<double>(BasicTensor<double>({2, 3, 5})))),
+                  ShapeError);
+}
+
 TEST_CASE("group_norm works where only some inputs want a gradient") {
   const auto x = normal({2, 4, 6}, 15);
   for (const Activation activation : kActivations) {
@@ -133,7 +188,7 @@ TEST_CASE("group_norm works where only some inputs want a gradient") {
 
 TEST_CASE_TEMPLATE("norm kernels of every instruction set", T, float, double) {
   const double tolerance = std::is_same_v<T, float> ? 5e-6 : 1e-13;
-  const NormRow<T> row{T(1.3), T(-0.2), T(0.7), T(0.1)};
+  const NormRow<T> row{T(-0.4), T(1.3), T(0.1)};
   const auto values = normal({3000}, 20).cast<T>(), slopes = normal({3000}, 21).cast<T>();
   for (const auto& k : test::pointwise_variants<T>())
     for (const Index n : {1, 3, 16, 19, 1100, 2999})
@@ -141,27 +196,30 @@ TEST_CASE_TEMPLATE("norm kernels of every instruction set", T, float, double) {
         CAPTURE(k.name);
         CAPTURE(n);
         const T *x = values.data() + 1, *g = slopes.data() + 1;
-        double sums[2], want[2] = {0, 0}, pair[2], want_pair[2] = {0, 0};
-        BasicTensor<T> y({n + 1}, T(9)), dz({n + 1}, T(9)), dx({n + 1}, T(9));
+        double sums[2], want[2] = {0, 0}, pair[2], unused[2], want_pair[2] = {0, 0};
+        BasicTensor<T> y({n + 1}, T(9)), sum({n + 1}, T(9)), dx({n + 1}, T(9)), line({n + 1}, T(9));
         k.norm_sums(n, x, T(0.25), sums);
-        k.norm_apply(n, x, row, activation, y.data());
-        k.norm_slopes(n, x, g, row, activation, dz.data(), pair);
-        const bool mask = activation == Activation::relu;
-        k.norm_gradient(n, x, mask ? g : dz.data(), row, mask, T(2), T(-3), T(0.5), dx.data());
+        k.norm_apply(n, x, row, activation, nullptr, y.data());
+        k.norm_apply(n, x, row, activation, sum.data(), sum.data());
+        k.norm_backward(n, x, g, row, activation, dx.data(), pair);
+        k.norm_backward(n, x, g, row, activation, nullptr, unused);
+        k.norm_add_linear(n, x, row, line.data());
+        CHECK(unused[0] == pair[0]);
+        CHECK(unused[1] == pair[1]);
         for (Index i = 0; i < n; ++i) {
           const double e = static_cast<double>(x[i]) - 0.25;
           want[0] += e;
           want[1] += e * e;
-          const double x_hat = 1.3 * static_cast<double>(x[i]) - 0.2, z = 0.7 * x_hat + 0.1,
-                       h = 1e-6;
+          const double centred = static_cast<double>(x[i]) + 0.4, z = 1.3 * centred + 0.1, h = 1e-6;
           const double slope = static_cast<double>(g[i]) *
                                (act(activation, z + h) - act(activation, z - h)) / (2 * h);
           want_pair[0] += slope;
-          want_pair[1] += slope * x_hat;
+          want_pair[1] += slope * centred;
+          REQUIRE(std::abs(static_cast<double>(line[i]) - (9 + z)) < 3 * tolerance);
           if (std::abs(z) < 1e-5) continue;  // the kink
           REQUIRE(std::abs(static_cast<double>(y[i]) - act(activation, z)) < tolerance);
-          REQUIRE(std::abs(static_cast<double>(dz[i]) - slope) < std::max(tolerance, 1e-8));
-          REQUIRE(std::abs(static_cast<double>(dx[i]) - (9 + 2 * slope - 3 * x_hat + 0.5)) <
+          REQUIRE(std::abs(static_cast<double>(sum[i]) - (9 + act(activation, z))) < 3 * tolerance);
+          REQUIRE(std::abs(static_cast<double>(dx[i]) - (9 + 1.3 * slope)) <
                   std::max(3 * tolerance, 1e-8));
         }
         for (int m = 0; m < 2; ++m) {
@@ -169,9 +227,7 @@ TEST_CASE_TEMPLATE("norm kernels of every instruction set", T, float, double) {
           CHECK(std::abs(pair[m] - want_pair[m]) <
                 std::max(10 * tolerance, 1e-7) * std::sqrt(static_cast<double>(n)));
         }
-        CHECK(y[n] == T(9));
-        CHECK(dz[n] == T(9));
-        CHECK(dx[n] == T(9));
+        for (const auto& t : {y, sum, dx, line}) CHECK(t[n] == T(9));
       }
 }
 

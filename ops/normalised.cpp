@@ -1,0 +1,173 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/ops/normalised.h"
+
+#include "satsurf/core/isa.h"
+#include "satsurf/core/parallel.h"
+#include "satsurf/ops/pointwise_kernels.h"
+
+#include <algorithm>
+#include <string>
+#include <utility>
+
+namespace satsurf {
+namespace {
+
+constexpr Index kChunk = 1 << 14;  // elements worked on together; they stay in the cache
+
+/// [B C ...] as rows (b, c) of `size` positions, cut into chunks.
+struct Rows {
+  Index count, size, chunks;
+
+  explicit Rows(const Shape& s)
+      : count(s[0] * s[1]),
+        size(s.count(2, s.rank())),
+        chunks(std::max<Index>(1, (size + kChunk - 1) / kChunk)) {}
+
+  /// body(row, chunk, begin, end) with the element range in x; chunks are grouped into pieces.
+  template <class Body>
+  void each_chunk(const Body& body) const {
+    const Index grain = std::max<Index>(1, kChunk / std::max<Index>(1, std::min(size, kChunk)));
+    for_range(count * chunks, grain, [&](Index first, Index last) {
+      for (Index k = first; k < last; ++k) {
+        const Index row = k / chunks, begin = k % chunks * kChunk;
+        body(row, k, row * size + begin, row * size + std::min(size, begin + kChunk));
+      }
+    });
+  }
+};
+
+std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+
+}  // namespace
+
+template <class T>
+void detail::check_normalised(const char* op, const Normalised<T>& value) {
+  const Shape& s = value.shape();
+  if (s.rank() < 3)
+    throw ShapeError(std::string(op) + ": x has shape " + s.str() +
+                     ", expected [B C ...] of rank 3 to 5");
+  const Shape wanted{3, s[0], s[1]};
+  if (!value.affine.empty() && value.affine.shape() != wanted)
+    throw ShapeError(std::string(op) + ": affine has shape " + value.affine.shape().str() +
+                     ", expected " + wanted.str() + " for x " + s.str());
+}
+
+template <class T>
+void detail::normalised_backward(const BasicTensor<T>& x, const BasicTensor<T>& affine,
+                                 Activation activation, const T* dz, T* dx, T* daffine) {
+  const Rows rows(x.shape());
+  const NormRows<T> norm(affine.data(), rows.count);
+  std::vector<double> sums(at(2 * rows.count * rows.chunks));
+  const auto kernel = SATSURF_DISPATCH(norm_backward<T>);
+  rows.each_chunk([&](Index row, Index k, Index begin, Index end) {
+    kernel(end - begin, x.data() + begin, dz + begin, norm[row], activation,
+           dx == nullptr ? nullptr : dx + begin, sums.data() + 2 * k);
+  });
+  if (daffine == nullptr) return;
+  for (Index row = 0; row < rows.count; ++row) {
+    double sum = 0, products = 0;  // of dz act' and of dz act' (x - centre)
+    for (Index k = row * rows.chunks; k < (row + 1) * rows.chunks; ++k) {
+      sum += sums[at(2 * k)];
+      products += sums[at(2 * k + 1)];
+    }
+    daffine[row] -= static_cast<T>(static_cast<double>(norm[row].scale) * sum);
+    daffine[rows.count + row] += static_cast<T>(products);
+    daffine[2 * rows.count + row] += static_cast<T>(sum);
+  }
+}
+
+template <class T>
+BasicVar<T> evaluate(Normalised<T> value) {
+  detail::check_normalised("evaluate", value);
+  if (value.affine.empty() && value.activation == Activation::none) return std::move(value.x);
+  const Rows rows(value.shape());
+  const NormRows<T> norm(value.affine.empty() ? nullptr : value.affine.value().data(), rows.count);
+  const Activation activation = value.activation;
+  auto out = value.x.reuse_or_new();
+  const T* x = value.x.value().data();
+  const auto kernel = SATSURF_DISPATCH(norm_apply<T>);
+  rows.each_chunk([&](Index row, Index, Index begin, Index end) {
+    kernel(end - begin, x + begin, norm[row], activation, nullptr, out.data() + begin);
+  });
+  return BasicVar<T>::record("evaluate", out, {value.x, value.affine}, [activation](Node<T>& n) {
+    T *dx = n.grad_in(0), *daffine = n.grad_in(1);
+    detail::normalised_backward(n.inputs[0]->value,
+                                n.inputs[1] ? n.inputs[1]->value : BasicTensor<T>(), activation,
+                                n.grad.data(), dx, daffine);
+  });
+}
+
+template <class T>
+BasicVar<T> add(Normalised<T> a, Normalised<T> b) {
+  detail::check_normalised("add", a);
+  detail::check_normalised("add", b);
+  if (a.shape() != b.shape())
+    throw ShapeError("add: a has shape " + a.shape().str() + " and b " + b.shape().str() +
+                     ", expected equal shapes");
+  const Rows rows(a.shape());
+  const NormRows<T> norm_a(a.affine.empty() ? nullptr : a.affine.value().data(), rows.count);
+  const NormRows<T> norm_b(b.affine.empty() ? nullptr : b.affine.value().data(), rows.count);
+  const Activation act_a = a.activation, act_b = b.activation;
+  auto out = a.x.reuse_or_new();
+  const T *pa = a.x.value().data(), *pb = b.x.value().data();
+  const auto kernel = SATSURF_DISPATCH(norm_apply<T>);
+  rows.each_chunk([&](Index row, Index, Index begin, Index end) {
+    T* sum = out.data() + begin;
+    kernel(end - begin, pa + begin, norm_a[row], act_a, nullptr, sum);
+    kernel(end - begin, pb + begin, norm_b[row], act_b, sum, sum);
+  });
+  return BasicVar<T>::record(
+      "add", out, {a.x, a.affine, b.x, b.affine}, [act_a, act_b](Node<T>& n) {
+        for (const std::size_t i : {std::size_t{0}, std::size_t{2}}) {
+          T *dx = n.grad_in(i), *daffine = n.grad_in(i + 1);
+          detail::normalised_backward(n.inputs[i]->value,
+                                      n.inputs[i + 1] ? n.inputs[i + 1]->value : BasicTensor<T>(),
+                                      i == 0 ? act_a : act_b, n.grad.data(), dx, daffine);
+        }
+      });
+}
+
+Moments Moments::about(double centre, double n, double sum, double squares) {
+  if (n == 0) return {};
+  const double mean = sum / n;
+  return {n, centre + mean, std::max(0.0, squares - sum * mean)};
+}
+
+void Moments::merge(const Moments& other) {
+  if (other.count == 0) return;
+  const double both = count + other.count, difference = other.mean - mean;
+  mean += difference * other.count / both;
+  m2 += other.m2 + difference * difference * count * other.count / both;
+  count = both;
+}
+
+template <class T>
+ChannelMoments channel_moments(const BasicTensor<T>& x) {
+  const Rows rows(x.shape());
+  ChannelMoments parts(at(rows.count * rows.chunks)), all(at(rows.count));
+  const auto kernel = SATSURF_DISPATCH(norm_sums<T>);
+  rows.each_chunk([&](Index, Index k, Index begin, Index end) {
+    if (begin == end) return;
+    double sums[2];  // about the first element: no cancellation where the mean is large
+    kernel(end - begin, x.data() + begin, x[begin], sums);
+    parts[at(k)] = Moments::about(static_cast<double>(x[begin]), static_cast<double>(end - begin),
+                                  sums[0], sums[1]);
+  });
+  for (Index k = 0; k < rows.count * rows.chunks; ++k) all[at(k / rows.chunks)].merge(parts[at(k)]);
+  return all;
+}
+
+template void detail::check_normalised(const char*, const Normalised<float>&);
+template void detail::check_normalised(const char*, const Normalised<double>&);
+template void detail::normalised_backward(const Tensor&, const Tensor&, Activation, const float*,
+                                          float*, float*);
+template void detail::normalised_backward(const BasicTensor<double>&, const BasicTensor<double>&,
+                                          Activation, const double*, double*, double*);
+template BasicVar<float> evaluate(Normalised<float>);
+template BasicVar<double> evaluate(Normalised<double>);
+template BasicVar<float> add(Normalised<float>, Normalised<float>);
+template BasicVar<double> add(Normalised<double>, Normalised<double>);
+template ChannelMoments channel_moments(const BasicTensor<float>&);
+template ChannelMoments channel_moments(const BasicTensor<double>&);
+
+}  // namespace satsurf
