@@ -248,7 +248,7 @@ void mix_output_rows(const T* src, Index mix_stride, T bias, bool accumulate, T*
     const Index count = n - p < L ? n - p : L;
     Batch<T> m[kMixes], y[kOutputs];
 #pragma GCC unroll 8
-    for (Index i = 0; i < kMixes; ++i) m[i] = Batch<T>::load_unaligned(src + i * mix_stride + p);
+    for (Index i = 0; i < kMixes; ++i) m[i] = load_first(src + i * mix_stride + p, count);
     mix_output(m, y);
 #pragma GCC unroll 8
     for (Index j = 0; j < kOutputs; ++j) {
