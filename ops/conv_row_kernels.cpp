@@ -197,23 +197,31 @@ void mix_gradient(const Batch<T> (&y)[kOutputs], Batch<T> (&m)[kMixes]) {
   m[4] = xsimd::fnma(b, odd_b, even_b);
 }
 
-/// Mixes N rows vector by vector.
+/// Mixes N rows vector by vector. A row's last vector ends with the row; rows shorter than one go
+/// through a buffer.
 template <class T, Index N, class Mix>
 void mix_rows(const T* const* src, Index n, T* dst, Index mix_stride, const Mix& mix) {
   constexpr Index L = kLanes<T>;
-  const auto at = [&](Index p, Index count) {
-    Batch<T> in[N], out[kMixes];
+  const T* rows[N];
 #pragma GCC unroll 8
-    for (Index k = 0; k < N; ++k) in[k] = load_first(src[k] + p, count);
+  for (Index k = 0; k < N; ++k) rows[k] = src[k];
+  Batch<T> in[N], out[kMixes];
+  if (n < L) {
+#pragma GCC unroll 8
+    for (Index k = 0; k < N; ++k) in[k] = load_first(rows[k], n);
     mix(in, out);
 #pragma GCC unroll 8
-    for (Index i = 0; i < kMixes; ++i) store_first(out[i], dst + i * mix_stride + p, count);
-  };
-  for (Index p = 0; p + L <= n; p += L) at(p, L);
-  if (n >= L && n % L != 0)
-    at(n - L, L);  // ends with the row
-  else if (n % L != 0)
-    at(0, n);
+    for (Index i = 0; i < kMixes; ++i) store_first(out[i], dst + i * mix_stride, n);
+    return;
+  }
+  for (Index p = 0; p < n; p += L) {
+    const Index at = p + L <= n ? p : n - L;
+#pragma GCC unroll 8
+    for (Index k = 0; k < N; ++k) in[k] = Batch<T>::load_unaligned(rows[k] + at);
+    mix(in, out);
+#pragma GCC unroll 8
+    for (Index i = 0; i < kMixes; ++i) out[i].store_unaligned(dst + i * mix_stride + at);
+  }
 }
 
 template <class T>
@@ -240,24 +248,37 @@ void mix_gradient_rows(const T* const* src, Index n, T* dst, Index mix_stride, I
   for (Index i = 0; i < kMixes; ++i) fill_zero(dst + i * mix_stride + n, count - n);
 }
 
+/// Adds the bias, and what is there if asked, to one vector of an output row and stores it.
+template <class T>
+void put(const Batch<T>& v, T bias, bool accumulate, T* to, Index count) {
+  Batch<T> sum = v + bias;
+  if (accumulate) sum += load_first(to, count);
+  store_first(sum, to, count);
+}
+
 template <class T>
 void mix_output_rows(const T* src, Index mix_stride, T bias, bool accumulate, T* dst,
                      Index dst_stride, Index rows, Index n) {
   constexpr Index L = kLanes<T>;
-  for (Index p = 0; p < n; p += L) {
+  Batch<T> m[kMixes], y[kOutputs];
+  Index p = 0;
+  if (rows == kOutputs && !accumulate) {  // nearly always
+    for (; p + L <= n; p += L) {
+#pragma GCC unroll 8
+      for (Index i = 0; i < kMixes; ++i) m[i] = Batch<T>::load_unaligned(src + i * mix_stride + p);
+      mix_output(m, y);
+#pragma GCC unroll 8
+      for (Index j = 0; j < kOutputs; ++j) (y[j] + bias).store_unaligned(dst + j * dst_stride + p);
+    }
+  }
+  for (; p < n; p += L) {
     const Index count = n - p < L ? n - p : L;
-    Batch<T> m[kMixes], y[kOutputs];
 #pragma GCC unroll 8
     for (Index i = 0; i < kMixes; ++i) m[i] = load_first(src + i * mix_stride + p, count);
     mix_output(m, y);
 #pragma GCC unroll 8
-    for (Index j = 0; j < kOutputs; ++j) {
-      if (j >= rows) break;
-      T* to = dst + j * dst_stride + p;
-      Batch<T> v = y[j] + bias;
-      if (accumulate) v += load_first(to, count);
-      store_first(v, to, count);
-    }
+    for (Index j = 0; j < kOutputs; ++j)
+      if (j < rows) put(y[j], bias, accumulate, dst + j * dst_stride + p, count);
   }
 }
 
