@@ -155,6 +155,7 @@ class Gather {
         set_shifts(phase, m, slab, shifts.data());
         for (Index o = 0; o < O_; o += kConvBlock) {
           const Index outputs = std::min(kConvBlock, O_ - o);
+          expect_stores(piece, z, rows, o, outputs, out);
           for (Index i = 0; i < together(); ++i) {
             const Index taps = static_cast<Index>(phase[i].taps.size());
             const Index n = (rows - 1) * slab.pitch() + phase[i].x->count;
@@ -175,6 +176,18 @@ class Gather {
       for (const AxisTap& i : phase[f].z->taps)
         for (const AxisTap& j : phase[f].y->taps)
           for (const AxisTap& k : phase[f].x->taps) *shift++ = slab.shift(m, i, j, k);
+  }
+
+  /// Asks for the rows that `store` writes after the gathering: by then they are there.
+  void expect_stores(const Piece& piece, Index z, Index rows, Index o, Index outputs,
+                     T* out) const {
+    if (!axes_[1].mixed && axes_[1].phases.size() > 1) return;  // written in turns, with gaps
+    const Index H = out_size_[1], W = out_size_[2], group = axes_[1].mixed ? winograd::kOutputs : 1;
+    const Index first = piece.row * group, last = std::min(H, (piece.row + rows) * group);
+    for (Index i = o; i < o + outputs; ++i) {
+      const T* plane = out + ((piece.b * O_ + i) * out_size_[0] + z) * H * W;
+      expect(plane + first * W, plane + last * W);
+    }
   }
 
   void store(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,

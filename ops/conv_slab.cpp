@@ -177,24 +177,31 @@ template <class T>
 void Slab<T>::load_plane(Index plane) {
   const Axis &depth = axes_[0], &row = axes_[1], &column = axes_[2];
   const Index z = plane - depth.left, plane_count = row.size * column.size;
+  // Planes lie too far apart for the processor to guess the next one, and their rows are soon over.
+  const auto plane_of = [&](Index c, Index at) -> const T* {
+    const bool inside = c < channel_ + C_ && at >= 0 && at < depth.size;
+    return inside ? rows_.input() + (c * depth.size + at) * plane_count : nullptr;
+  };
   T* dst = buffer_.data() + plane % planes_ * plane_stride_;
   for (Index c = channel_; c < channel_ + C_; ++c, dst += c_stride_) {
-    const T* src =
-        z >= 0 && z < depth.size ? rows_.input() + (c * depth.size + z) * plane_count : nullptr;
+    const T *src = plane_of(c, z), *next = plane_of(c + 1, z);
+    if (next == nullptr) next = plane_of(channel_, z + 1);
     if (row.mixed)
-      load_mixed_rows(src, c, dst);
+      load_mixed_rows(src, next, c, dst);
     else
-      load_rows(src, c, dst);
+      load_rows(src, next, c, dst);
   }
 }
 
 template <class T>
-void Slab<T>::load_rows(const T* src, Index channel, T* dst) {
+void Slab<T>::load_rows(const T* src, const T* next, Index channel, T* dst) {
   const Axis &row = axes_[1], &column = axes_[2];
   for (Index f = 0; f < row.reads; ++f, dst += column.reads * line_rows_ * pitch_)
     for (Index i = 0; i < line_rows_; ++i) {
       const Index y = (row_ + i) * row.reads + f - row.left;
       const bool inside = src != nullptr && y >= 0 && y < row.size;
+      if (next != nullptr && y >= 0 && y < row.size)
+        expect(next + y * column.size, next + (y + 1) * column.size);
       kernels_.rows.pad(inside ? rows_.read(src + y * column.size, channel, 0) : nullptr,
                         inside ? column.size : 0, column.left, column.reads, dst + i * pitch_,
                         line_rows_ * pitch_, pitch_);
@@ -202,7 +209,7 @@ void Slab<T>::load_rows(const T* src, Index channel, T* dst) {
 }
 
 template <class T>
-void Slab<T>::load_mixed_rows(const T* src, Index channel, T* dst) {
+void Slab<T>::load_mixed_rows(const T* src, const T* next, Index channel, T* dst) {
   using namespace winograd;
   const Axis &row = axes_[1], &column = axes_[2];
   Index known = -1;  // last row that has been read; groups of six share two
@@ -220,6 +227,11 @@ void Slab<T>::load_mixed_rows(const T* src, Index channel, T* dst) {
         shared_[static_cast<std::size_t>(y % kMixes)] = at;
         known = y;
       }
+    }
+    if (next != nullptr) {
+      const Index first = (row_ + i) * kOutputs - row.left, fresh = i == 0 ? 0 : kMixes - kOutputs;
+      expect(next + std::max<Index>(0, first + fresh) * column.size,
+             next + std::min(row.size, first + kMixes) * column.size);
     }
     kernels_.rows.mix_input(rows.data(), column.size, column.left, dst + i * pitch_,
                             line_rows_ * pitch_, pitch_);

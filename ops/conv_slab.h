@@ -115,9 +115,10 @@ class Slab {
 
  private:
   void load_plane(Index plane);
-  /// src  the channel's plane, nullptr outside the image
-  void load_rows(const T* src, Index channel, T* dst);
-  void load_mixed_rows(const T* src, Index channel, T* dst);
+  /// src   the channel's plane, nullptr outside the image
+  /// next  the plane that is loaded after it, or nullptr
+  void load_rows(const T* src, const T* next, Index channel, T* dst);
+  void load_mixed_rows(const T* src, const T* next, Index channel, T* dst);
 
   const ConvKernels<T>& kernels_;
   const Axes& axes_;
@@ -159,6 +160,16 @@ Index odd_lines(Index elements) {
   constexpr Index kLine = 64 / static_cast<Index>(sizeof(T));
   const Index lines = (elements + kLine - 1) / kLine;
   return (lines | 1) * kLine;
+}
+
+/// Asks for the elements [begin, end) ahead of their use.
+template <class T>
+void expect(const T* begin, const T* end) {
+  constexpr Index kLine = 64 / static_cast<Index>(sizeof(T));
+  for (const T* p = begin; p < end; p += kLine) {
+    __builtin_prefetch(p, 0, 2);
+    asm volatile("");  // g++ drops calls of functions that do nothing but prefetch
+  }
 }
 
 /// Most output rows of which a slab of that many planes fits the cache.
