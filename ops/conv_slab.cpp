@@ -8,7 +8,7 @@
 namespace satsurf::conv {
 namespace {
 
-constexpr Index kSlabBytes = 384 << 10;  // leaves room for outputs and weights in a 1 MiB cache
+constexpr Index kSlabBytes = 640 << 10;  // leaves room for outputs and weights in a 1 MiB cache
 constexpr Index kFewOutputs = 1024;  // of a channel; below this mixing the kernels takes too long
 constexpr Index kMinRows = 4;        // below this the rows read twice outweigh the balance
 
