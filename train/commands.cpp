@@ -138,22 +138,24 @@ void run_train(const TrainOptions& options) {
   if (!options.config.init.empty()) record.add_input(options.config.init);
   if (!options.resume)
     record.save(folder / "run.json");  // marks the folder as a run from the start
-  progress.update("read", 0);
-  double average = 0;  // running mean of the height error over about fifty steps
-  train(options.config, options.data, std::move(folder), options.seed, options.resume,
-        [&](const StepReport& r) {
-          if (interrupted() && r.step == 1)
-            throw Interrupted{};  // before anything is worth keeping
-          average = last.step == 0 ? r.height_mae : average + 0.02 * (r.height_mae - average);
-          last = r;
-          char text[160];
-          std::snprintf(text, sizeof text,
-                        "step %td/%td  loss %.4f  height error %.2f m  %.2f s/step", r.step,
-                        r.steps, r.loss, average, r.seconds);
-          progress.update("train", static_cast<double>(r.step) / static_cast<double>(r.steps),
-                          text);
-          return !interrupted();
-        });
+  double average = 0;                  // running mean of the height error over about fifty steps
+  train(
+      options.config, options.data, std::move(folder), options.seed, options.resume,
+      [&](const StepReport& r) {
+        if (interrupted() && r.step == 1) throw Interrupted{};  // before anything is worth keeping
+        average = last.step == 0 ? r.height_mae : average + 0.02 * (r.height_mae - average);
+        last = r;
+        char text[160];
+        std::snprintf(text, sizeof text,
+                      "step %td/%td  loss %.4f  height error %.2f m  %.2f s/step", r.step, r.steps,
+                      r.loss, average, r.seconds);
+        progress.update("train", static_cast<double>(r.step) / static_cast<double>(r.steps), text);
+        return !interrupted();
+      },
+      [&](double read) {
+        if (interrupted()) throw Interrupted{};
+        progress.update("read", read);
+      });
   record.results() = {
       {"step", last.step}, {"steps", options.config.steps}, {"height_mae_running", average}};
   record.save(options.out / "run.json");

@@ -20,9 +20,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::vector<Scene> load_all(const fs::path& folder, Index views) {
+std::vector<Scene> load_all(const fs::path& folder, Index views,
+                            const std::function<void(double)>& reading) {
+  const std::vector<std::string> names = list_scenes(folder);
   std::vector<Scene> scenes;
-  for (const std::string& name : list_scenes(folder)) {
+  for (const std::string& name : names) {
+    if (reading) reading(static_cast<double>(scenes.size()) / static_cast<double>(names.size()));
     Scene scene = load_scene(folder, name);
     if (static_cast<Index>(scene.views.size()) <= views)
       throw IoError(folder.string() + ": scene " + name + " has " +
@@ -176,13 +179,13 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
 }
 
 void train(const TrainConfig& config, const fs::path& data, OutputFolder out, std::uint64_t seed,
-           bool resume, const StepCallback& callback) {
+           bool resume, const StepCallback& callback, const std::function<void(double)>& reading) {
   check_fields(config, "train");
   const Index multiple = nn::size_multiple(config.model);
   if (config.crop % multiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +
                       ", expected a multiple of " + std::to_string(multiple));
-  const std::vector<Scene> scenes = load_all(data, config.views);
+  const std::vector<Scene> scenes = load_all(data, config.views, reading);
 
   const std::string record = to_json(config).dump();
   nn::Model model(config.model, seed);

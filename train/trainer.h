@@ -87,9 +87,11 @@ using StepCallback = std::function<bool(const StepReport&)>;
 /// seed      of the initial weights and the samples
 /// resume    go on from `out/checkpoint.safetensors`, bit for bit as if never interrupted
 /// callback  may be empty
+/// reading   told before each scene is read which share of them has been; may throw to stop
 /// throws    IoError, ConfigError
 void train(const TrainConfig& config, const std::filesystem::path& data, OutputFolder out,
-           std::uint64_t seed, bool resume, const StepCallback& callback);
+           std::uint64_t seed, bool resume, const StepCallback& callback,
+           const std::function<void(double)>& reading = {});
 
 /// A model from a weights or checkpoint file, which carries its configuration.
 /// throws  IoError
