@@ -41,6 +41,8 @@ const std::vector<Case> kCases = {
     {"2D 3x3, wide", 1, 4, 10, {1, 5, 130}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
     {"2D 4x4 down", 2, 5, 7, {1, 12, 18}, {1, 4, 4}, {1, 2, 2}, {0, 1, 1}},
     {"2D 1x1", 2, 19, 13, {1, 6, 11}, {1, 1, 1}, {1, 1, 1}, {0, 0, 0}},
+    {"2D 1x1, every second pixel", 1, 9, 17, {1, 7, 12}, {1, 1, 1}, {1, 2, 2}, {0, 0, 0}},
+    {"2D 1x1, several stretches", 1, 70, 20, {1, 9, 50}, {1, 1, 1}, {1, 1, 1}, {0, 0, 0}},
     {"2D many channels", 1, 35, 12, {1, 7, 9}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
     {"2D tall enough for several chunks", 1, 33, 2, {1, 90, 70}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
     // enough outputs for rows to be mixed, see conv_winograd.h
