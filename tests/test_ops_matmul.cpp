@@ -62,6 +62,7 @@ template <class T>
 std::vector<T> stored(const BasicTensor<double>& x, bool transposed) {
   const Index R = x.dim(0), C = x.dim(1);
   std::vector<T> out;
+  out.reserve(static_cast<std::size_t>(R * C));
   for (Index i = 0; i < R * C; ++i)
     out.push_back(static_cast<T>(transposed ? x[i % R * C + i / R] : x[i]));
   return out;
