@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/ops/loss_kernels.h"
 #include "satsurf/ops/norm.h"
 #include "satsurf/ops/pointwise_kernels.h"
 #include "satsurf/ops/softmax_kernels.h"
@@ -74,6 +75,12 @@ template <class T>
 auto softmax_variants() {
   return variants<SoftmaxKernels<T>>(isa_baseline::softmax_kernels<T>, isa_avx2::softmax_kernels<T>,
                                      isa_avx512::softmax_kernels<T>);
+}
+
+template <class T>
+auto loss_variants() {
+  return variants<LossKernels<T>>(isa_baseline::loss_kernels<T>, isa_avx2::loss_kernels<T>,
+                                  isa_avx512::loss_kernels<T>);
 }
 
 }  // namespace satsurf::test
