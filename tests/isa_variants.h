@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/ops/layout_kernels.h"
 #include "satsurf/ops/loss_kernels.h"
 #include "satsurf/ops/norm.h"
 #include "satsurf/ops/pointwise_kernels.h"
+#include "satsurf/ops/resize_kernels.h"
 #include "satsurf/ops/softmax_kernels.h"
 
 #include <vector>
@@ -81,6 +83,18 @@ template <class T>
 auto loss_variants() {
   return variants<LossKernels<T>>(isa_baseline::loss_kernels<T>, isa_avx2::loss_kernels<T>,
                                   isa_avx512::loss_kernels<T>);
+}
+
+template <class T>
+auto resize_variants() {
+  return variants<ResizeKernels<T>>(isa_baseline::resize_kernels<T>, isa_avx2::resize_kernels<T>,
+                                    isa_avx512::resize_kernels<T>);
+}
+
+template <class T>
+auto layout_variants() {
+  return variants<LayoutKernels<T>>(isa_baseline::layout_kernels<T>, isa_avx2::layout_kernels<T>,
+                                    isa_avx512::layout_kernels<T>);
 }
 
 }  // namespace satsurf::test
