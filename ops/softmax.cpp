@@ -177,17 +177,11 @@ BasicVar<T> max_probability(const BasicVar<T>& probability) {
   return BasicVar<T>::record("max_probability", out, {probability}, [=](Node<T>& n) {
     T* dp = n.grad_in(0);
     if (dp == nullptr) return;
+    const auto backward = SATSURF_DISPATCH(softmax_kernels<T>)().max_backward;
     each_run(B, P, [&](Index b, Index begin, Index end) {
-      const T *g = n.grad.data() + b * P, *top = n.value.data() + b * P, *p = n.in(0) + b * D * P;
-      T* to = dp + b * D * P;
-      T* left = tile_of<T>(1);  // each pixel's gradient until it is given away
-      std::copy(g + begin, g + end, left);
-      for (Index d = 0; d < D; ++d)
-        for (Index i = begin; i < end; ++i) {
-          const bool found = p[d * P + i] == top[i];
-          to[d * P + i] += found ? left[i - begin] : T(0);
-          left[i - begin] = found ? T(0) : left[i - begin];
-        }
+      const Index at = b * D * P + begin, pixel = b * P + begin;
+      backward(D, P, end - begin, n.in(0) + at, n.value.data() + pixel, n.grad.data() + pixel,
+               dp + at, tile_of<T>(1));
     });
   });
 }

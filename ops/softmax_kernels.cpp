@@ -170,11 +170,34 @@ void backward(Index D, Index stride, Index n, const SoftmaxGradient<T>& of, T* t
     backward<T, true, true>(D, stride, n, of, tile);
 }
 
+template <class T>
+void max_backward(Index D, Index stride, Index n, const T* p, const T* top, const T* g, T* d,
+                  T* tile) {
+  T* left = tile;  // the gradient until it is given away
+  const Batch<T> zero(T(0));
+  each_batch<T>(n, [&](Index i, Index k) { load(g + i, k).store_unaligned(left + i); });
+  each_group(D, [&](auto planes, Index first) {
+    constexpr Index R = planes.kCount;
+    each_batch<T>(n, [&](Index i, Index k) {
+      const Batch<T> most = load(top + i, k);
+      Batch<T> rest = Batch<T>::load_unaligned(left + i);
+#pragma GCC unroll 4
+      for (Index r = 0; r < R; ++r) {
+        const Index at = (first + r) * stride + i;
+        const auto found = load(p + at, k) == most;
+        store(d + at, load(d + at, k) + xsimd::select(found, rest, zero), k);
+        rest = xsimd::select(found, zero, rest);
+      }
+      rest.store_unaligned(left + i);
+    });
+  });
+}
+
 }  // namespace
 
 template <class T>
 SoftmaxKernels<T> softmax_kernels() {
-  return {.forward = forward<T>, .backward = backward<T>};
+  return {.forward = forward<T>, .backward = backward<T>, .max_backward = max_backward<T>};
 }
 template SoftmaxKernels<float> softmax_kernels();
 template SoftmaxKernels<double> softmax_kernels();

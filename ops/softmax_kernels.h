@@ -36,6 +36,10 @@ struct SoftmaxKernels {
   /// and g_d is larger by g_confidence at the first maximum
   /// tile  [2 kSoftmaxRow]
   void (*backward)(Index D, Index stride, Index n, const SoftmaxGradient<T>& of, T* tile);
+  /// d_d += g at the first plane whose p equals top
+  /// tile  [kSoftmaxRow]
+  void (*max_backward)(Index D, Index stride, Index n, const T* p, const T* top, const T* g, T* d,
+                       T* tile);
 };
 
 namespace isa_baseline {

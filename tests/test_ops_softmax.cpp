@@ -147,9 +147,12 @@ TEST_CASE_TEMPLATE("height distribution kernels of every instruction set", T, fl
           of.g_height = gh.data();
           of.g_confidence = gc.data();
           k.backward(D, stride, n, of, tile.data());
+          BasicTensor<T> dm({D, stride}, guard);
+          k.max_backward(D, stride, n, p.data(), c.data(), gc.data(), dm.data(), tile.data());
           const auto want = softmax_ref(x.template cast<double>().reshaped({1, D, 1, stride}));
           for (Index i = 0; i < stride; ++i) {
             if (i >= n) {
+              for (Index e = 0; e < D; ++e) CHECK(dm[e * stride + i] == guard);
               CHECK(h[i] == guard);
               CHECK(c[i] == guard);
               for (Index e = 0; e < D; ++e) CHECK(p[e * stride + i] == guard);
@@ -168,6 +171,8 @@ TEST_CASE_TEMPLATE("height distribution kernels of every instruction set", T, fl
                      static_cast<double>(gh[i]) * static_cast<double>(z[at]) +
                      (e == top ? static_cast<double>(gc[i]) : 0.0);
             };
+            for (Index e = 0; e < D; ++e)
+              CHECK(dm[e * stride + i] == (e == top ? guard + gc[i] : guard));
             for (Index e = 0; e < D; ++e) mean += want[e * stride + i] * slope(e);
             CHECK(std::abs(static_cast<double>(h[i]) - height) < 4 * tolerance);
             CHECK(c[i] == p[top * stride + i]);
