@@ -163,8 +163,8 @@ void add_softmax_rows() {
     return passes(
         {batch(s)},
         [=](const Vars& v) {
-          const Var p = softmax_hypotheses(v[0]);
-          return add(expected_height(p, heights), max_probability(p));
+          const auto h = height_distribution(v[0], heights);
+          return add(h.height, h.confidence);
         },
         3, 6);
   });

@@ -207,9 +207,10 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
     }
 
     // 3. Heights and confidence.
-    stage.probability = softmax_hypotheses(concat(logits, 0));
-    stage.height = expected_height(stage.probability, stage.hypotheses);
-    stage.confidence = max_probability(stage.probability);
+    const auto distribution = height_distribution(concat(logits, 0), stage.hypotheses);
+    stage.probability = distribution.probability;
+    stage.height = distribution.height;
+    stage.confidence = distribution.confidence;
 
     // 4. One surfel per pixel.
     const BasicVar<T> image = stride == 1 ? images : area_downsample(images, stride);

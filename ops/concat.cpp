@@ -2,7 +2,9 @@
 #include "satsurf/ops/concat.h"
 
 #include "satsurf/core/dims.h"
+#include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/layout_kernels.h"
 
 #include <algorithm>
 #include <string>
@@ -122,10 +124,10 @@ BasicVar<T> pixels_from_map(const BasicVar<T>& x) {
   auto out = BasicTensor<T>::uninitialised({N * P, C});
   const T* px = x.value().data();
   T* y = out.data();
+  const auto transpose = SATSURF_DISPATCH(layout_kernels<T>)().transpose;
   for (Index i = 0; i < N; ++i)
     for_range(P, kPixels, [&](Index begin, Index end) {
-      for (Index c = 0; c < C; ++c)
-        for (Index p = begin; p < end; ++p) y[(i * P + p) * C + c] = px[(i * C + c) * P + p];
+      transpose(C, end - begin, px + i * C * P + begin, P, false, y + (i * P + begin) * C, C);
     });
   return BasicVar<T>::record("pixels_from_map", out, {x}, [=](Node<T>& n) {
     const T* g = n.grad.data();
@@ -133,8 +135,7 @@ BasicVar<T> pixels_from_map(const BasicVar<T>& x) {
     if (dx == nullptr) return;
     for (Index i = 0; i < N; ++i)
       for_range(P, kPixels, [&](Index begin, Index end) {
-        for (Index c = 0; c < C; ++c)
-          for (Index p = begin; p < end; ++p) dx[(i * C + c) * P + p] += g[(i * P + p) * C + c];
+        transpose(end - begin, C, g + (i * P + begin) * C, C, true, dx + i * C * P + begin, P);
       });
   });
 }

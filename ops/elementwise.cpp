@@ -28,12 +28,6 @@ void each(Index n, const F& f) {
   });
 }
 
-template <class T>
-T logistic(T x) {
-  const T e = std::exp(-std::abs(x));  // never overflows
-  return x >= 0 ? T(1) / (T(1) + e) : e / (T(1) + e);
-}
-
 }  // namespace
 
 template <class T>
@@ -145,13 +139,16 @@ BasicVar<T> softplus(const BasicVar<T>& x) {
   auto out = BasicTensor<T>::uninitialised(x.shape());
   const T* px = x.value().data();
   T* y = out.data();
-  each(out.count(), [=](Index i) {
-    y[i] = (px[i] > 0 ? px[i] : T(0)) + std::log1p(std::exp(-std::abs(px[i])));
-  });
+  const auto forward = SATSURF_DISPATCH(softplus<T>);
+  for_range(out.count(), kGrain,
+            [=](Index begin, Index end) { forward(end - begin, px + begin, y + begin); });
   return BasicVar<T>::record("softplus", out, {x}, [](Node<T>& n) {
     const T *g = n.grad.data(), *v = n.in(0);
+    const auto backward = SATSURF_DISPATCH(softplus_backward<T>);
     if (T* dx = n.grad_in(0))
-      each(n.grad.count(), [=](Index i) { dx[i] += g[i] * logistic(v[i]); });
+      for_range(n.grad.count(), kGrain, [=](Index begin, Index end) {
+        backward(end - begin, v + begin, g + begin, dx + begin);
+      });
   });
 }
 

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/ops/loss.h"
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/loss_kernels.h"
 
 #include <algorithm>
-#include <cmath>
 #include <string>
 
 namespace satsurf {
@@ -29,38 +30,31 @@ void check(const char* op, const char* name, const BasicTensor<T>& t, const Shap
                      ", expected " + x.str() + " from x");
 }
 
-/// sum(w l(x - target)) / max(sum(w), least); `slope` is the derivative of `l`. Elements of weight
-/// 0 are never looked at.
-template <class T, class Loss, class Slope>
+/// sum(w l(x - target)) / max(sum(w), least).
+template <class T>
 BasicVar<T> weighted_mean(const char* op, const BasicVar<T>& x, const BasicTensor<T>& target,
-                          const BasicTensor<T>& weight, Loss l, Slope slope) {
+                          const BasicTensor<T>& weight, Distance distance, T beta) {
   check(op, "target", target, x.shape());
   if (!weight.empty()) check(op, "weight", weight, x.shape());
-  const T *px = x.value().data(), *t = target.data(), *w = weight.data();
-  const Sums sums = ordered_reduce(x.count(), kGrain, Sums{}, [=](Index begin, Index end) {
-    Sums s;
-    for (Index i = begin; i < end; ++i) {
-      const double wi = w == nullptr ? 1.0 : static_cast<double>(w[i]);
-      if (wi == 0) continue;
-      s.loss += wi * l(static_cast<double>(px[i]) - static_cast<double>(t[i]));
-      s.weight += wi;
-    }
-    return s;
+  const auto from = [](const BasicTensor<T>& t, Index i) {
+    return t.empty() ? nullptr : t.data() + i;
+  };
+  const auto kernels = SATSURF_DISPATCH(loss_kernels<T>)();
+  const Sums sums = ordered_reduce(x.count(), kGrain, Sums{}, [&](Index begin, Index end) {
+    double of_piece[2];
+    kernels.sums(distance, beta, end - begin, x.value().data() + begin, target.data() + begin,
+                 from(weight, begin), of_piece);
+    return Sums{of_piece[0], of_piece[1]};
   });
   const double total = std::max(sums.weight, kLeastWeight);
   const auto out = BasicTensor<T>::scalar(static_cast<T>(sums.loss / total));
   return BasicVar<T>::record(op, out, {x}, [=](Node<T>& n) {
     T* dx = n.grad_in(0);
     if (dx == nullptr) return;
-    const T *v = n.in(0), *to = target.data(), *wt = weight.data();
-    const double g = static_cast<double>(n.grad[0]) / total;
-    for_range(target.count(), kGrain, [=](Index begin, Index end) {
-      for (Index i = begin; i < end; ++i) {
-        const double wi = wt == nullptr ? 1.0 : static_cast<double>(wt[i]);
-        if (wi == 0) continue;
-        dx[i] +=
-            static_cast<T>(g * wi * slope(static_cast<double>(v[i]) - static_cast<double>(to[i])));
-      }
+    const T factor = static_cast<T>(static_cast<double>(n.grad[0]) / total);
+    for_range(target.count(), kGrain, [=, &n](Index begin, Index end) {
+      kernels.backward(distance, beta, factor, end - begin, n.in(0) + begin, target.data() + begin,
+                       from(weight, begin), dx + begin);
     });
   });
 }
@@ -70,19 +64,15 @@ BasicVar<T> weighted_mean(const char* op, const BasicVar<T>& x, const BasicTenso
 template <class T>
 BasicVar<T> smooth_l1(const BasicVar<T>& x, const BasicTensor<T>& target,
                       const BasicTensor<T>& weight, T beta) {
-  const double b = static_cast<double>(beta);
-  if (!(b > 0))
-    throw ConfigError("smooth_l1: beta is " + std::to_string(b) + ", expected a positive number");
-  return weighted_mean(
-      "smooth_l1", x, target, weight,
-      [b](double e) { return std::abs(e) < b ? e * e / (2 * b) : std::abs(e) - b / 2; },
-      [b](double e) { return std::clamp(e / b, -1.0, 1.0); });
+  if (!(beta > 0))
+    throw ConfigError("smooth_l1: beta is " + std::to_string(static_cast<double>(beta)) +
+                      ", expected a positive number");
+  return weighted_mean("smooth_l1", x, target, weight, Distance::smooth_l1, beta);
 }
 
 template <class T>
 BasicVar<T> mse(const BasicVar<T>& x, const BasicTensor<T>& target, const BasicTensor<T>& weight) {
-  return weighted_mean(
-      "mse", x, target, weight, [](double e) { return e * e; }, [](double e) { return 2 * e; });
+  return weighted_mean("mse", x, target, weight, Distance::squared, T(1));
 }
 
 template BasicVar<float> smooth_l1(const BasicVar<float>&, const BasicTensor<float>&,

@@ -1,37 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/ops/pointwise_kernels.h"
 
-#include "satsurf/core/simd.h"
+#include "satsurf/ops/batch_kernels.h"
 #include "satsurf/ops/normalised.h"
 
 namespace satsurf::SATSURF_ISA_NS {
 namespace {
-
-/// body(at, lanes) for whole batches, then once for what is left over; it loads and stores through
-/// the two functions below, which touch `lanes` elements only.
-template <class T, class Body>
-void each_batch(Index n, const Body& body) {
-  constexpr Index L = kLanes<T>;
-  Index i = 0;
-  for (; i + L <= n; i += L) body(i, L);
-  if (i < n) body(i, n - i);
-}
-
-/// Lanes beyond `lanes` become 0.
-template <class T>
-Batch<T> load(const T* p, Index lanes) {
-  if (lanes == kLanes<T>) return Batch<T>::load_unaligned(p);
-  alignas(Batch<T>) T whole[kLanes<T>] = {};
-  for (Index k = 0; k < lanes; ++k) whole[k] = p[k];
-  return Batch<T>::load_aligned(whole);
-}
-template <class T>
-void store(T* p, const Batch<T>& v, Index lanes) {
-  if (lanes == kLanes<T>) return v.store_unaligned(p);
-  alignas(Batch<T>) T whole[kLanes<T>];
-  v.store_aligned(whole);
-  for (Index k = 0; k < lanes; ++k) p[k] = whole[k];
-}
 
 /// Standard normal distribution function and density.
 inline void normal_distribution(const Batch<double>& x, Batch<double>& cdf,
@@ -47,7 +21,7 @@ inline void normal_distribution(const Batch<float>& x, Batch<float>& cdf, Batch<
                      0.147815247f,    0.237513726f,  0.224363594f, 6.22769063e-05f};
   Batch<float> series(0.0157101552f);
   for (const float k : c) series = xsimd::fma(series, t, Batch<float>(k));
-  const Batch<float> bell = xsimd::exp(-0.5f * x * x);
+  const Batch<float> bell = exp_below(-0.5f * x * x);
   const Batch<float> tail = 0.5f * series * bell;
   cdf = xsimd::select(x < 0.0f, tail, 1.0f - tail);
   density = 0.39894228f * bell;
@@ -66,36 +40,22 @@ Batch<T> gelu_slope(const Batch<T>& x) {
   return xsimd::fma(x, density, cdf);
 }
 
-/// Sums of two series: at most kRun batches are added in T before they go to double.
 template <class T>
-class PairSum {
- public:
-  void add(const Batch<T>& a, const Batch<T>& b) {
-    a_ += a;
-    b_ += b;
-    if (++batches_ == kRun) flush();
-  }
-  void result(double* sums) {
-    flush();
-    sums[0] = total_a_;
-    sums[1] = total_b_;
-  }
+Batch<T> logistic_of(const Batch<T>& x) {
+  const Batch<T> e = exp_below(-xsimd::abs(x));  // never overflows
+  return xsimd::select(x < T(0), e, Batch<T>(1)) / (T(1) + e);
+}
 
- private:
-  static constexpr int kRun = 32;
-  void flush() {
-    alignas(Batch<T>) T lanes[kLanes<T>];
-    a_.store_aligned(lanes);
-    for (const T v : lanes) total_a_ += static_cast<double>(v);
-    b_.store_aligned(lanes);
-    for (const T v : lanes) total_b_ += static_cast<double>(v);
-    a_ = b_ = Batch<T>(T(0));
-    batches_ = 0;
-  }
-  Batch<T> a_ = Batch<T>(T(0)), b_ = Batch<T>(T(0));
-  double total_a_ = 0, total_b_ = 0;
-  int batches_ = 0;
-};
+/// log(1 + e) for 0 <= e <= 1.
+inline Batch<double> log1p_of(const Batch<double>& e) { return xsimd::log1p(e); }
+inline Batch<float> log1p_of(const Batch<float>& e) {
+  // 2 artanh(s) for s = e / (2 + e) <= 1/3: Taylor in s^2 up to s^15, beyond which there is 3e-9 s
+  const Batch<float> s = e / (2.0f + e), squared = s * s;
+  const float c[] = {2 / 13.0f, 2 / 11.0f, 2 / 9.0f, 2 / 7.0f, 2 / 5.0f, 2 / 3.0f};
+  Batch<float> series(2 / 15.0f);
+  for (const float k : c) series = xsimd::fma(series, squared, Batch<float>(k));
+  return xsimd::fma(s * squared, series, s + s);
+}
 
 struct NoActivation {
   template <class B>
@@ -161,9 +121,23 @@ void gelu_backward(Index n, const T* x, const T* g, T* d) {
 
 template <class T>
 void logistic(Index n, const T* x, T* y) {
+  each_batch<T>(n, [=](Index i, Index k) { store(y + i, logistic_of(load(x + i, k)), k); });
+}
+
+template <class T>
+void softplus(Index n, const T* x, T* y) {
   each_batch<T>(n, [=](Index i, Index k) {
-    const Batch<T> v = load(x + i, k), e = xsimd::exp(-xsimd::abs(v));  // never overflows
-    store(y + i, xsimd::select(v < T(0), e, Batch<T>(1)) / (T(1) + e), k);
+    const Batch<T> v = load(x + i, k);
+    const Batch<T> more = log1p_of(exp_below(-xsimd::abs(v)));  // never overflows
+    store(y + i, xsimd::max(v, Batch<T>(T(0))) + more, k);
+  });
+}
+
+template <class T>
+void softplus_backward(Index n, const T* x, const T* g, T* d) {
+  each_batch<T>(n, [=](Index i, Index k) {
+    const Batch<T> slope = logistic_of(load(x + i, k));
+    store(d + i, xsimd::fma(load(g + i, k), slope, load(d + i, k)), k);
   });
 }
 
@@ -229,49 +203,6 @@ void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d) {
   });
 }
 
-template <class T>
-void softmax(Index D, Index stride, Index n, const T* x, T* y, T* tile) {
-  constexpr Index L = kLanes<T>, S = kSoftmaxTile;
-  // The tile is contiguous; the planes are often a power of two apart and would evict each other.
-  for (Index d = 0; d < D; ++d)
-    each_batch<T>(n, [&](Index i, Index k) {
-      load(x + d * stride + i, k).store_unaligned(tile + d * S + i);
-    });
-  for (Index i = 0; i < n; i += L) {
-    Batch<T> top = Batch<T>::load_unaligned(tile + i), total(T(0));
-    for (Index d = 1; d < D; ++d) top = xsimd::max(top, Batch<T>::load_unaligned(tile + d * S + i));
-    for (Index d = 0; d < D; ++d) {
-      const Batch<T> e = xsimd::exp(Batch<T>::load_unaligned(tile + d * S + i) - top);
-      total += e;
-      e.store_unaligned(tile + d * S + i);
-    }
-    const Batch<T> share = T(1) / total;
-    for (Index d = 0; d < D; ++d)
-      (Batch<T>::load_unaligned(tile + d * S + i) * share).store_unaligned(tile + d * S + i);
-  }
-  for (Index d = 0; d < D; ++d)
-    each_batch<T>(n, [&](Index i, Index k) {
-      store(y + d * stride + i, Batch<T>::load_unaligned(tile + d * S + i), k);
-    });
-}
-
-template <class T>
-void softmax_backward(Index D, Index stride, Index n, const T* p, const T* g, T* d, T* tile) {
-  each_batch<T>(n, [&](Index i, Index) { Batch<T>(T(0)).store_unaligned(tile + i); });
-  for (Index h = 0; h < D; ++h)
-    each_batch<T>(n, [&](Index i, Index k) {
-      const Batch<T> mean = Batch<T>::load_unaligned(tile + i);
-      xsimd::fma(load(p + h * stride + i, k), load(g + h * stride + i, k), mean)
-          .store_unaligned(tile + i);
-    });
-  for (Index h = 0; h < D; ++h)
-    each_batch<T>(n, [&](Index i, Index k) {
-      const Index at = h * stride + i;
-      const Batch<T> e = load(g + at, k) - Batch<T>::load_unaligned(tile + i);
-      store(d + at, xsimd::fma(load(p + at, k), e, load(d + at, k)), k);
-    });
-}
-
 template void relu_backward(Index, const float*, const float*, float*);
 template void relu_backward(Index, const double*, const double*, double*);
 template void gelu(Index, const float*, float*);
@@ -280,6 +211,10 @@ template void gelu_backward(Index, const float*, const float*, float*);
 template void gelu_backward(Index, const double*, const double*, double*);
 template void logistic(Index, const float*, float*);
 template void logistic(Index, const double*, double*);
+template void softplus(Index, const float*, float*);
+template void softplus(Index, const double*, double*);
+template void softplus_backward(Index, const float*, const float*, float*);
+template void softplus_backward(Index, const double*, const double*, double*);
 template void norm_sums(Index, const float*, float, double*);
 template void norm_sums(Index, const double*, double, double*);
 template void norm_apply(Index, const float*, const NormRow<float>&, Activation, const float*,
@@ -292,9 +227,5 @@ template void norm_backward(Index, const double*, const double*, const NormRow<d
                             double*, double*);
 template void norm_add_linear(Index, const float*, const NormRow<float>&, float*);
 template void norm_add_linear(Index, const double*, const NormRow<double>&, double*);
-template void softmax(Index, Index, Index, const float*, float*, float*);
-template void softmax(Index, Index, Index, const double*, double*, double*);
-template void softmax_backward(Index, Index, Index, const float*, const float*, float*, float*);
-template void softmax_backward(Index, Index, Index, const double*, const double*, double*, double*);
 
 }  // namespace satsurf::SATSURF_ISA_NS

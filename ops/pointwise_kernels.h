@@ -3,28 +3,24 @@
 
 #include "satsurf/core/shape.h"
 
-// Inner loops of elementwise.cpp, norm.cpp and softmax.cpp, declared once per instruction set
+// Inner loops of elementwise.cpp, norm.cpp and normalised.cpp, declared once per instruction set
 // (core/isa.h):
 //   relu_backward    d += g where y > 0
 //   gelu             y = x Phi(x)
 //   gelu_backward    d += g (Phi(x) + x phi(x))
 //   logistic         y = 1 / (1 + exp(-x))
+//   softplus         y = log(1 + exp(x))
+//   softplus_backward  d += g / (1 + exp(-x))
 //   norm_sums        sums[0] = sum(x - shift), sums[1] = sum((x - shift)^2)
 //   norm_apply       y = base + act(z), z = scale (x - centre) + shift; no base if nullptr
 //   norm_backward    dz = g act'(z), d += scale dz; sums[0] = sum(dz), sums[1] = sum(dz (x -
 //                    centre)); d may be nullptr
 //   norm_add_linear  d += z
-//   softmax          over D planes `stride` apart, n <= kSoftmaxTile pixels;
-//                    tile [D kSoftmaxTile]
-//   softmax_backward d += p (g - sum_k p_k g_k); tile [kSoftmaxTile]
 // Sums are taken in lanes of T for short runs and in double between them, in a fixed order.
 
 namespace satsurf {
 
 enum class Activation;
-
-/// Pixels worked on together: 64 hypotheses of them are half a first-level cache.
-inline constexpr Index kSoftmaxTile = 64;
 
 /// How one row (b, c) is normalised: z = scale (x - centre) + shift.
 template <class T>
@@ -57,6 +53,10 @@ void gelu_backward(Index n, const T* x, const T* g, T* d);
 template <class T>
 void logistic(Index n, const T* x, T* y);
 template <class T>
+void softplus(Index n, const T* x, T* y);
+template <class T>
+void softplus_backward(Index n, const T* x, const T* g, T* d);
+template <class T>
 void norm_sums(Index n, const T* x, T shift, double* sums);
 template <class T>
 void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
@@ -66,10 +66,6 @@ void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activ
                    T* d, double* sums);
 template <class T>
 void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
-template <class T>
-void softmax(Index D, Index stride, Index n, const T* x, T* y, T* tile);
-template <class T>
-void softmax_backward(Index D, Index stride, Index n, const T* p, const T* g, T* d, T* tile);
 }  // namespace isa_baseline
 
 namespace isa_avx2 {
@@ -82,6 +78,10 @@ void gelu_backward(Index n, const T* x, const T* g, T* d);
 template <class T>
 void logistic(Index n, const T* x, T* y);
 template <class T>
+void softplus(Index n, const T* x, T* y);
+template <class T>
+void softplus_backward(Index n, const T* x, const T* g, T* d);
+template <class T>
 void norm_sums(Index n, const T* x, T shift, double* sums);
 template <class T>
 void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
@@ -91,10 +91,6 @@ void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activ
                    T* d, double* sums);
 template <class T>
 void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
-template <class T>
-void softmax(Index D, Index stride, Index n, const T* x, T* y, T* tile);
-template <class T>
-void softmax_backward(Index D, Index stride, Index n, const T* p, const T* g, T* d, T* tile);
 }  // namespace isa_avx2
 
 namespace isa_avx512 {
@@ -107,6 +103,10 @@ void gelu_backward(Index n, const T* x, const T* g, T* d);
 template <class T>
 void logistic(Index n, const T* x, T* y);
 template <class T>
+void softplus(Index n, const T* x, T* y);
+template <class T>
+void softplus_backward(Index n, const T* x, const T* g, T* d);
+template <class T>
 void norm_sums(Index n, const T* x, T shift, double* sums);
 template <class T>
 void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
@@ -116,10 +116,6 @@ void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activ
                    T* d, double* sums);
 template <class T>
 void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
-template <class T>
-void softmax(Index D, Index stride, Index n, const T* x, T* y, T* tile);
-template <class T>
-void softmax_backward(Index D, Index stride, Index n, const T* p, const T* g, T* d, T* tile);
 }  // namespace isa_avx512
 
 }  // namespace satsurf

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/ops/resize.h"
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/resize_kernels.h"
 
 #include <algorithm>
 #include <cmath>
@@ -19,6 +21,7 @@ constexpr Index kGrain = 1 << 14;  // elements per piece
 struct Axis {
   std::vector<Index> low, high;
   std::vector<double> weight;
+  bool nearest = false;
 
   Index out() const { return static_cast<Index>(low.size()); }
   static std::size_t at(Index i) { return static_cast<std::size_t>(i); }
@@ -31,6 +34,7 @@ Axis nearest_axis(Index in, Index out) {
     a.weight.push_back(0);
   }
   a.high = a.low;
+  a.nearest = true;
   return a;
 }
 
@@ -89,16 +93,20 @@ void each_row(Index planes, Index rows, Index row_cost, const Body& body) {
             });
 }
 
-/// out row = the two input rows of output row i, mixed.
+/// One row with an element to spare on either side, the calling thread's own.
 template <class T>
-void mix_rows(const Axis& v, Index i, const T* plane, Index W, T* out) {
-  const T *a = plane + v.low[Axis::at(i)] * W, *b = plane + v.high[Axis::at(i)] * W;
-  const T w = static_cast<T>(v.weight[Axis::at(i)]);
-  if (w == 0) {
-    std::copy_n(a, W, out);
-  } else {
-    for (Index x = 0; x < W; ++x) out[x] = a[x] + w * (b[x] - a[x]);
-  }
+T* scratch_row(Index width) {
+  thread_local std::vector<T> row;
+  const auto count = static_cast<std::size_t>(width + 2);
+  if (row.size() < count) row.resize(count);
+  return row.data() + 1;
+}
+
+/// Repeats the values at the borders.
+template <class T>
+void extend(T* row, Index width) {
+  row[-1] = row[0];
+  row[width] = row[width - 1];
 }
 
 template <class T>
@@ -106,16 +114,24 @@ BasicVar<T> resample(const char* op, const BasicVar<T>& x, const Size<T>& size, 
                      Axis horizontal) {
   const Index H = size.H, W = size.W, planes = size.planes;
   const Index out_H = vertical.out(), out_W = horizontal.out();
+  const bool doubles = out_W == 2 * W;
+  const auto kernels = SATSURF_DISPATCH(resize_kernels<T>)();
   auto out = BasicTensor<T>::uninitialised(size.out);
   each_row(planes, out_H, out_W, [&](Index p, Index i) {
-    thread_local std::vector<T> mixed;
-    mixed.resize(Axis::at(W));
-    mix_rows(vertical, i, x.value().data() + p * H * W, W, mixed.data());
+    const Axis &v = vertical, &h = horizontal;
+    const T* plane = x.value().data() + p * H * W;
+    const T *a = plane + v.low[Axis::at(i)] * W, *b = plane + v.high[Axis::at(i)] * W;
     T* y = out.data() + (p * out_H + i) * out_W;
+    if (doubles && h.nearest) return kernels.repeat(W, a, y);
+    T* mixed = scratch_row<T>(W);
+    kernels.between(W, a, b, static_cast<T>(v.weight[Axis::at(i)]), mixed);
+    if (doubles) {
+      extend(mixed, W);
+      return kernels.expand(W, mixed, y);
+    }
     for (Index j = 0; j < out_W; ++j) {
-      const T a = mixed[Axis::at(horizontal.low[Axis::at(j)])];
-      const T b = mixed[Axis::at(horizontal.high[Axis::at(j)])];
-      y[j] = a + static_cast<T>(horizontal.weight[Axis::at(j)]) * (b - a);
+      const T left = mixed[h.low[Axis::at(j)]], right = mixed[h.high[Axis::at(j)]];
+      y[j] = left + static_cast<T>(h.weight[Axis::at(j)]) * (right - left);
     }
   });
   return BasicVar<T>::record(
@@ -125,18 +141,29 @@ BasicVar<T> resample(const char* op, const BasicVar<T>& x, const Size<T>& size, 
         const Readers readers(v, H);
         const T* g = n.grad.data();
         each_row(planes, H, W, [&](Index p, Index k) {  // every input row gathers its readers
-          thread_local std::vector<T> mixed;
-          mixed.assign(Axis::at(out_W), T(0));
+          thread_local std::vector<const T*> rows;
+          thread_local std::vector<T> shares;
+          rows.clear();
+          shares.clear();
           for (Index i = readers.first[Axis::at(k)]; i < readers.last[Axis::at(k)]; ++i) {
             const T w = static_cast<T>(v.weight[Axis::at(i)]);
             const T share =
                 (v.low[Axis::at(i)] == k ? T(1) - w : T(0)) + (v.high[Axis::at(i)] == k ? w : T(0));
-            const T* row = g + (p * out_H + i) * out_W;
-            for (Index j = 0; j < out_W; ++j) mixed[Axis::at(j)] += share * row[j];
+            if (share == 0) continue;
+            rows.push_back(g + (p * out_H + i) * out_W);
+            shares.push_back(share);
           }
+          if (rows.empty()) return;
+          T* mixed = scratch_row<T>(out_W);
+          kernels.mix(static_cast<Index>(rows.size()), rows.data(), shares.data(), out_W, mixed);
           T* to = dx + (p * H + k) * W;
+          if (doubles && h.nearest) return kernels.pair_sums(W, mixed, T(1), true, to);
+          if (doubles) {
+            extend(mixed, out_W);
+            return kernels.expand_backward(W, mixed, to);
+          }
           for (Index j = 0; j < out_W; ++j) {
-            const T w = static_cast<T>(h.weight[Axis::at(j)]), m = mixed[Axis::at(j)];
+            const T w = static_cast<T>(h.weight[Axis::at(j)]), m = mixed[j];
             to[h.low[Axis::at(j)]] += (T(1) - w) * m;
             to[h.high[Axis::at(j)]] += w * m;
           }
@@ -170,26 +197,44 @@ BasicVar<T> area_downsample(const BasicVar<T>& x, Index factor) {
                      std::to_string(factor));
   const Index planes = s.count(0, r - 2), H = s[r - 2] / factor, W = s[r - 1] / factor;
   const T share = T(1) / static_cast<T>(factor * factor);
+  const Index wide = W * factor;
+  const auto kernels = SATSURF_DISPATCH(resize_kernels<T>)();
   auto out = BasicTensor<T>::uninitialised(s.with(r - 2, H).with(r - 1, W));
-  each_row(planes, H, W * factor * factor, [&](Index p, Index i) {
-    const T* from = x.value().data() + (p * H + i) * factor * W * factor;
-    T* y = out.data() + (p * H + i) * W;
+  each_row(planes, H, wide * factor, [&](Index p, Index i) {
+    thread_local std::vector<const T*> rows;
+    thread_local std::vector<T> ones;
+    rows.resize(Axis::at(factor));
+    ones.assign(Axis::at(factor), T(1));
+    for (Index a = 0; a < factor; ++a)
+      rows[Axis::at(a)] = x.value().data() + ((p * H + i) * factor + a) * wide;
+    T *y = out.data() + (p * H + i) * W, *column_sums = scratch_row<T>(wide);
+    kernels.mix(factor, rows.data(), ones.data(), wide, column_sums);
+    Index left = factor;  // columns that make one
+    for (; left % 2 == 0 && left > 2; left /= 2)
+      kernels.pair_sums(W * left / 2, column_sums, T(1), false, column_sums);
+    if (left == 2) return kernels.pair_sums(W, column_sums, share, false, y);
     for (Index j = 0; j < W; ++j) {
       T total = 0;
-      for (Index a = 0; a < factor; ++a)
-        for (Index b = 0; b < factor; ++b) total += from[a * W * factor + j * factor + b];
+      for (Index b = 0; b < left; ++b) total += column_sums[j * left + b];
       y[j] = total * share;
     }
   });
   return BasicVar<T>::record("area_downsample", out, {x}, [=](Node<T>& n) {
     T* dx = n.grad_in(0);
     if (dx == nullptr) return;
-    each_row(planes, H, W * factor * factor, [&](Index p, Index i) {
+    each_row(planes, H, wide * factor, [&](Index p, Index i) {
       const T* g = n.grad.data() + (p * H + i) * W;
-      T* to = dx + (p * H + i) * factor * W * factor;
+      T *spread = scratch_row<T>(2 * wide), *other = spread + wide;  // by turns
+      Index done = 1;                                                // columns that each of g fills
+      for (; factor % (2 * done) == 0; done *= 2, std::swap(spread, other), g = other)
+        kernels.repeat(W * done, g, spread);
+      if (done != factor) {
+        const Index times = factor / done;
+        for (Index j = 0; j < W * done; ++j) std::fill_n(spread + j * times, times, g[j]);
+        g = spread;
+      }
       for (Index a = 0; a < factor; ++a)
-        for (Index j = 0; j < W; ++j)
-          for (Index b = 0; b < factor; ++b) to[(a * W + j) * factor + b] += g[j] * share;
+        kernels.add(wide, g, share, dx + ((p * H + i) * factor + a) * wide);
     });
   });
 }

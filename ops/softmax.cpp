@@ -4,23 +4,67 @@
 #include "satsurf/core/dims.h"
 #include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
-#include "satsurf/ops/pointwise_kernels.h"
+#include "satsurf/ops/softmax_kernels.h"
 
 #include <algorithm>
+#include <memory>
 #include <vector>
 
 namespace satsurf {
 namespace {
 
-constexpr Index kPixels = 512;  // per piece; each has D hypotheses
-
 /// body(b, first pixel, last pixel + 1) for runs of pixels of one batch element.
 template <class Body>
 void each_run(Index B, Index P, const Body& body) {
-  const Index runs = (P + kPixels - 1) / kPixels;
+  const Index runs = (P + kSoftmaxPixels - 1) / kSoftmaxPixels;
   for_each_index(B * runs, [&](Index r) {
-    const Index b = r / runs, begin = r % runs * kPixels;
-    body(b, begin, std::min(P, begin + kPixels));
+    const Index b = r / runs, begin = r % runs * kSoftmaxPixels;
+    body(b, begin, std::min(P, begin + kSoftmaxPixels));
+  });
+}
+
+/// `rows` rows of the calling thread's own, kept from one piece to the next.
+template <class T>
+T* tile_of(Index rows) {
+  thread_local std::vector<T> tile;
+  const auto count = static_cast<std::size_t>(rows * kSoftmaxRow);
+  if (tile.size() < count) tile.resize(count);
+  return tile.data();
+}
+
+/// Fills `out`, and the other two if there are heights.
+template <class T>
+void softmax_forward(const BasicTensor<T>& logits, const T* heights, T* out, T* height,
+                     T* confidence) {
+  const Index B = logits.dim(0), D = logits.dim(1), P = logits.dim(2) * logits.dim(3);
+  const auto forward = SATSURF_DISPATCH(softmax_kernels<T>)().forward;
+  each_run(B, P, [&](Index b, Index begin, Index end) {
+    const Index at = b * D * P + begin, pixel = b * P + begin;
+    if (heights == nullptr)
+      forward(D, P, end - begin, logits.data() + at, nullptr, out + at, nullptr, nullptr,
+              tile_of<T>(D + 3));
+    else
+      forward(D, P, end - begin, logits.data() + at, heights + at, out + at, height + pixel,
+              confidence + pixel, tile_of<T>(D + 3));
+  });
+}
+
+/// Adds to of.d; the pointers of `of` are to the first element of all.
+template <class T>
+void softmax_backward(Index B, Index D, Index P, const SoftmaxGradient<T>& of) {
+  const auto backward = SATSURF_DISPATCH(softmax_kernels<T>)().backward;
+  each_run(B, P, [&](Index b, Index begin, Index end) {
+    const Index at = b * D * P + begin, pixel = b * P + begin;
+    SoftmaxGradient<T> here{.p = of.p + at, .d = of.d + at};
+    if (of.g != nullptr) here.g = of.g + at;
+    if (of.z != nullptr) {
+      here.z = of.z + at;
+      here.height = of.height + pixel;
+      here.confidence = of.confidence + pixel;
+      here.g_height = of.g_height + pixel;
+      here.g_confidence = of.g_confidence + pixel;
+    }
+    backward(D, P, end - begin, here, tile_of<T>(2));
   });
 }
 
@@ -34,26 +78,58 @@ BasicVar<T> softmax_hypotheses(const BasicVar<T>& logits) {
 
   auto out = BasicTensor<T>::uninitialised(logits.shape());
   if (out.count() == 0) return BasicVar<T>(out);
-  const auto forward = SATSURF_DISPATCH(softmax<T>);
-  each_run(B, P, [&](Index b, Index begin, Index end) {
-    std::vector<T> tile(static_cast<std::size_t>(D * kSoftmaxTile));
-    for (Index i = begin; i < end; i += kSoftmaxTile)
-      forward(D, P, std::min(kSoftmaxTile, end - i), logits.value().data() + b * D * P + i,
-              out.data() + b * D * P + i, tile.data());
-  });
+  softmax_forward<T>(logits.value(), nullptr, out.data(), nullptr, nullptr);
   return BasicVar<T>::record("softmax_hypotheses", out, {logits}, [=](Node<T>& n) {
+    if (T* dx = n.grad_in(0))  // dL/dx_d = p_d (g_d - sum_k p_k g_k)
+      softmax_backward<T>(B, D, P, {.p = n.value.data(), .g = n.grad.data(), .d = dx});
+  });
+}
+
+template <class T>
+HeightDistribution<T> height_distribution(const BasicVar<T>& logits,
+                                          const BasicTensor<T>& heights) {
+  Dims dim("height_distribution");
+  dim.match("logits", logits, "B D H W").match("heights", heights, "B D H W");
+  const Index B = dim["B"], D = dim["D"], H = dim["H"], W = dim["W"], P = H * W;
+  if (D == 0)
+    throw ShapeError("height_distribution: logits has shape " + logits.shape().str() +
+                     ", expected at least one hypothesis");
+
+  auto p = BasicTensor<T>::uninitialised(logits.shape());
+  auto z = BasicTensor<T>::uninitialised({B, H, W}), c = BasicTensor<T>::uninitialised({B, H, W});
+  softmax_forward<T>(logits.value(), heights.data(), p.data(), z.data(), c.data());
+
+  /// What the other two leave for height's backward.
+  struct Gradients {
+    BasicTensor<T> probability, confidence;
+  };
+  const auto kept = std::make_shared<Gradients>();
+  const auto height = BasicVar<T>::record("height_distribution", z, {logits}, [=](Node<T>& n) {
+    // dL/dx_d = p_d (g_d - sum_k p_k g_k), where g_d = gP_d + gH z_d + gC [d is the maximum]
     T* dx = n.grad_in(0);
     if (dx == nullptr) return;
-    const auto backward = SATSURF_DISPATCH(softmax_backward<T>);
-    each_run(B, P, [&](Index b, Index begin, Index end) {  // dL/dx_d = p_d (g_d - sum_k p_k g_k)
-      std::vector<T> tile(static_cast<std::size_t>(kSoftmaxTile));
-      for (Index i = begin; i < end; i += kSoftmaxTile) {
-        const Index at = b * D * P + i;
-        backward(D, P, std::min(kSoftmaxTile, end - i), n.value.data() + at, n.grad.data() + at,
-                 dx + at, tile.data());
-      }
-    });
+    const BasicTensor<T>& gc = kept->confidence.empty()
+                                   ? kept->confidence = BasicTensor<T>::zeros_like(c)
+                                   : kept->confidence;
+    softmax_backward<T>(B, D, P,
+                        {.p = p.data(),
+                         .g = kept->probability.data(),
+                         .z = heights.data(),
+                         .height = n.value.data(),
+                         .confidence = c.data(),
+                         .g_height = n.grad.data(),
+                         .g_confidence = gc.data(),
+                         .d = dx});
   });
+  const auto leave = [&](const char* op, const BasicTensor<T>& value,
+                         BasicTensor<T> Gradients::*gradient) {
+    return BasicVar<T>::record(op, value, {height}, [kept, gradient](Node<T>& n) {
+      (*kept).*gradient = n.grad;
+      n.grad_in(0);  // zeros, if nothing else: without a gradient height's backward would not run
+    });
+  };
+  return {leave("height_distribution.probability", p, &Gradients::probability), height,
+          leave("height_distribution.confidence", c, &Gradients::confidence)};
 }
 
 template <class T>
@@ -101,15 +177,11 @@ BasicVar<T> max_probability(const BasicVar<T>& probability) {
   return BasicVar<T>::record("max_probability", out, {probability}, [=](Node<T>& n) {
     T* dp = n.grad_in(0);
     if (dp == nullptr) return;
+    const auto backward = SATSURF_DISPATCH(softmax_kernels<T>)().max_backward;
     each_run(B, P, [&](Index b, Index begin, Index end) {
-      const T *g = n.grad.data() + b * P, *top = n.value.data() + b * P, *p = n.in(0) + b * D * P;
-      T* to = dp + b * D * P;
-      for (Index i = begin; i < end; ++i)
-        for (Index d = 0; d < D; ++d)
-          if (p[d * P + i] == top[i]) {
-            to[d * P + i] += g[i];
-            break;
-          }
+      const Index at = b * D * P + begin, pixel = b * P + begin;
+      backward(D, P, end - begin, n.in(0) + at, n.value.data() + pixel, n.grad.data() + pixel,
+               dp + at, tile_of<T>(1));
     });
   });
 }
@@ -120,5 +192,10 @@ template BasicVar<float> expected_height(const BasicVar<float>&, const BasicTens
 template BasicVar<double> expected_height(const BasicVar<double>&, const BasicTensor<double>&);
 template BasicVar<float> max_probability(const BasicVar<float>&);
 template BasicVar<double> max_probability(const BasicVar<double>&);
+
+template HeightDistribution<float> height_distribution(const BasicVar<float>&,
+                                                       const BasicTensor<float>&);
+template HeightDistribution<double> height_distribution(const BasicVar<double>&,
+                                                        const BasicTensor<double>&);
 
 }  // namespace satsurf

@@ -76,7 +76,8 @@ TEST_CASE_TEMPLATE("pointwise kernels of every instruction set", T, float, doubl
       CAPTURE(n);
       const T* x = all.data() + (all.count() - n);
       const T guard = T(12345);
-      BasicTensor<T> y({n + 1}, guard), s({n + 1}, guard), dg({n + 1}, guard), dr({n + 1}, guard);
+      BasicTensor<T> y({n + 1}, guard), s({n + 1}, guard), dg({n + 1}, guard), dr({n + 1}, guard),
+          p({n + 1}, guard), dp({n + 1}, guard);
       const BasicTensor<T> g({n}, T(0.5));
       k.gelu(n, x, y.data());
       k.logistic(n, x, s.data());
@@ -84,6 +85,9 @@ TEST_CASE_TEMPLATE("pointwise kernels of every instruction set", T, float, doubl
       dr.fill(T(1));
       k.gelu_backward(n, x, g.data(), dg.data());
       k.relu_backward(n, x, g.data(), dr.data());
+      k.softplus(n, x, p.data());
+      dp.fill(T(1));
+      k.softplus_backward(n, x, g.data(), dp.data());
       for (Index i = 0; i < n; ++i) {
         const double xi = static_cast<double>(x[i]), cdf = phi_cdf(xi);
         CAPTURE(xi);
@@ -95,11 +99,17 @@ TEST_CASE_TEMPLATE("pointwise kernels of every instruction set", T, float, doubl
         CHECK(std::abs(static_cast<double>(dg[i]) - (1 + 0.5 * slope)) <= tolerance);
         CHECK(std::abs(static_cast<double>(s[i]) - 1 / (1 + std::exp(-xi))) <= tolerance);
         CHECK(dr[i] == (x[i] > 0 ? T(1.5) : T(1)));
+        const double soft = std::max(xi, 0.0) + std::log1p(std::exp(-std::abs(xi)));
+        CHECK(std::abs(static_cast<double>(p[i]) - soft) <=  // to the last normal number
+              (std::is_same_v<T, float> ? 1e-6 : 1e-14) * soft + 1.2e-38);
+        CHECK(std::abs(static_cast<double>(dp[i]) - (1 + 0.5 / (1 + std::exp(-xi)))) <= tolerance);
       }
       CHECK(y[n] == guard);
       CHECK(s[n] == guard);
       CHECK(dg[n] == T(1));
       CHECK(dr[n] == T(1));
+      CHECK(p[n] == guard);
+      CHECK(dp[n] == T(1));
     }
 }
 
@@ -124,6 +134,28 @@ TEST_CASE("the gradient of relu at 0 is 0") {
   CHECK(x.grad()[0] == 0);
   CHECK(x.grad()[1] == 0);
   CHECK(x.grad()[2] == 1);
+}
+
+TEST_CASE_TEMPLATE("softplus at the ends", T, float, double) {
+  const T inf = std::numeric_limits<T>::infinity(), nan = std::numeric_limits<T>::quiet_NaN();
+  const T low = std::is_same_v<T, float> ? T(-87) : T(-700);  // still a normal number
+  for (const auto& k : test::pointwise_variants<T>()) {
+    CAPTURE(k.name);
+    const T x[] = {inf, -inf, nan, low, T(87)}, g[] = {1, 1, 1, 1, 1};
+    T y[5], d[5] = {};
+    k.softplus(5, x, y);
+    k.softplus_backward(5, x, g, d);
+    CHECK(y[0] == inf);
+    CHECK(y[1] == 0);
+    CHECK(y[2] != y[2]);
+    CHECK(y[3] == doctest::Approx(std::exp(low)).epsilon(1e-6));
+    CHECK(y[4] == 87);
+    CHECK(d[0] == 1);
+    CHECK(d[1] == 0);
+    CHECK(d[2] != d[2]);
+    CHECK(d[3] == doctest::Approx(std::exp(low)).epsilon(1e-6));
+    CHECK(d[4] == 1);
+  }
 }
 
 TEST_CASE("NaN passes through relu") {

@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "tests/gradcheck.h"
+#include "tests/isa_variants.h"
 
 using namespace satsurf;
 using test::gradcheck;
@@ -48,6 +49,63 @@ TEST_CASE("losses by hand") {
   const double slopes[] = {2 * -0.25 / 4, 1.0 / 4, 0, 0};
   for (Index i = 0; i < 4; ++i) CHECK(x.grad()[i] == doctest::Approx(slopes[i]));
   CHECK(mse(x, target, weight).value().item() == doctest::Approx((2 * 0.25 + 9) / 4));
+}
+
+TEST_CASE_TEMPLATE("loss kernels of every instruction set", T, float, double) {
+  const double tolerance = std::is_same_v<T, float> ? 1e-6 : 1e-14;
+  const T nan = std::numeric_limits<T>::quiet_NaN(), guard = T(9), beta = T(0.8), factor = T(0.3);
+  constexpr Index kMost = 5003;  // sums go to double many times
+  const auto x = normal({kMost}, 1).cast<T>();
+  auto target = normal({kMost}, 2).cast<T>(), weight = normal({kMost}, 3).cast<T>();
+  for (Index i = 0; i < kMost; ++i) weight[i] = std::abs(weight[i]);
+  for (Index i = 3; i < kMost; i += 7) weight[i] = 0;
+  auto holes = target.clone();
+  for (Index i = 3; i < kMost; i += 7) holes[i] = nan;
+  for (const auto& k : test::loss_variants<T>())
+    for (const Index n : {1, 2, 3, 4, 7, 8, 15, 16, 17, 33, 5003})
+      for (const bool weighted : {false, true})
+        for (const Distance distance : {Distance::squared, Distance::smooth_l1}) {
+          CAPTURE(k.name);
+          CAPTURE(n);
+          CAPTURE(weighted);
+          const T* w = weighted ? weight.data() : nullptr;
+          const T* to = weighted ? holes.data() : target.data();
+          double sums[2], loss = 0, total = 0;
+          BasicTensor<T> d({kMost}, guard);
+          k.sums(distance, beta, n, x.data(), to, w, sums);
+          k.backward(distance, beta, factor, n, x.data(), to, w, d.data());
+          for (Index i = 0; i < kMost; ++i) {
+            const double wi = weighted ? static_cast<double>(weight[i]) : 1.0;
+            const double e = static_cast<double>(x[i]) - static_cast<double>(target[i]);
+            const double b = static_cast<double>(beta), size = std::abs(e);
+            const bool squared = distance == Distance::squared, inner = size < b;
+            if (i < n) {
+              loss += wi * (squared ? e * e : inner ? e * e / (2 * b) : size - b / 2);
+              total += wi;
+            }
+            const double slope = squared ? 2 * e : inner ? e / b : e < 0 ? -1 : 1;
+            const double want = i < n ? 9 + static_cast<double>(factor) * wi * slope : 9;
+            REQUIRE(std::abs(static_cast<double>(d[i]) - want) <= 20 * tolerance);
+          }
+          CHECK(std::abs(sums[0] - loss) <= tolerance * loss);
+          CHECK(std::abs(sums[1] - total) <= tolerance * total);
+        }
+}
+
+TEST_CASE("a NaN that has a weight stays visible in a loss") {
+  for (const auto& k : test::loss_variants<float>())
+    for (const Distance distance : {Distance::squared, Distance::smooth_l1}) {
+      CAPTURE(k.name);
+      const float nan = std::numeric_limits<float>::quiet_NaN();
+      const float x[] = {1, nan, 3}, target[] = {0, 0, 0};
+      float d[] = {0, 0, 0};
+      double sums[2];
+      k.sums(distance, 1.0f, 3, x, target, nullptr, sums);
+      k.backward(distance, 1.0f, 1.0f, 3, x, target, nullptr, d);
+      CHECK(sums[0] != sums[0]);
+      CHECK(d[1] != d[1]);
+      CHECK(d[0] == d[0]);
+    }
 }
 
 TEST_CASE("a loss without any weight is zero, and so is its gradient") {

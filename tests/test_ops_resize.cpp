@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "tests/gradcheck.h"
+#include "tests/isa_variants.h"
 
 using namespace satsurf;
 using test::gradcheck;
@@ -15,9 +16,10 @@ using test::normal;
 namespace {
 
 // in height and width, out height and width
-const std::array<Index, 4> kSizes[] = {{5, 7, 10, 14}, {5, 7, 3, 4},   {6, 4, 3, 2}, {1, 1, 4, 3},
-                                       {3, 5, 1, 1},   {4, 3, 4, 3},   {2, 9, 7, 9}, {7, 2, 5, 31},
-                                       {3, 4, 9, 8},   {8, 33, 16, 66}};
+const std::array<Index, 4> kSizes[] = {
+    {5, 7, 10, 14}, {5, 7, 3, 4}, {6, 4, 3, 2},   {1, 1, 4, 3}, {3, 5, 1, 1},
+    {4, 3, 4, 3},   {2, 9, 7, 9}, {7, 2, 5, 31},  {3, 4, 9, 8}, {8, 33, 16, 66},
+    {3, 37, 5, 74}, {1, 1, 2, 2}, {1, 19, 2, 38}, {2, 1, 4, 2}};
 
 double pixel(const BasicTensor<double>& x, Index p, Index H, Index W, Index y, Index u) {
   return x[(p * H + std::clamp<Index>(y, 0, H - 1)) * W + std::clamp<Index>(u, 0, W - 1)];
@@ -64,8 +66,74 @@ TEST_CASE("resize agrees with its definition") {
   }
 }
 
+TEST_CASE_TEMPLATE("resize kernels of every instruction set", T, float, double) {
+  constexpr Index kMost = 67;
+  const T guard = T(9);
+  const double tolerance = std::is_same_v<T, float> ? 2e-6 : 1e-14;
+  const auto x = normal({5, 2 * kMost + 2}, 1).cast<T>();
+  const auto at = [&](Index row, Index i) {  // element -1 is there
+    return static_cast<double>(x[row * (2 * kMost + 2) + 1 + i]);
+  };
+  const T weight[] = {T(0.25), T(-2), T(1), T(0.5), T(3)};
+  const T* rows[5];
+  for (Index r = 0; r < 5; ++r) rows[r] = x.data() + r * (2 * kMost + 2) + 1;
+  for (const auto& k : test::resize_variants<T>())
+    for (const Index n : {1, 2, 3, 7, 8, 9, 15, 16, 17, 31, 67}) {
+      CAPTURE(k.name);
+      CAPTURE(n);
+      const auto same = [&](const BasicTensor<T>& y, Index count, const auto& want) {
+        for (Index i = 0; i < y.count(); ++i) {
+          CAPTURE(i);
+          if (i < count)
+            CHECK(std::abs(static_cast<double>(y[i]) - want(i)) < 10 * tolerance);
+          else
+            CHECK(y[i] == guard);
+        }
+      };
+      for (Index count = 1; count <= 5; ++count) {
+        BasicTensor<T> y({kMost + 1}, guard);
+        k.mix(count, rows, weight, n, y.data());
+        same(y, n, [&](Index i) {
+          double sum = 0;
+          for (Index r = 0; r < count; ++r) sum += static_cast<double>(weight[r]) * at(r, i);
+          return sum;
+        });
+      }
+      BasicTensor<T> between({kMost + 1}, guard), added({kMost + 1}, guard),
+          twice({2 * kMost + 1}, guard), sums({kMost + 1}, guard), more({kMost + 1}, guard),
+          expanded({2 * kMost + 1}, guard), back({kMost + 1}, guard);
+      k.between(n, rows[0], rows[1], T(0.75), between.data());
+      same(between, n, [&](Index i) { return 0.25 * at(0, i) + 0.75 * at(1, i); });
+      k.add(n, rows[0], T(0.5), added.data());
+      same(added, n, [&](Index i) { return 9 + 0.5 * at(0, i); });
+      k.repeat(n, rows[0], twice.data());
+      for (Index i = 0; i < twice.count(); ++i)
+        CHECK(twice[i] == (i < 2 * n ? rows[0][i / 2] : guard));
+      k.pair_sums(n, rows[0], T(0.5), false, sums.data());
+      same(sums, n, [&](Index i) { return 0.5 * (at(0, 2 * i) + at(0, 2 * i + 1)); });
+      k.pair_sums(n, rows[0], T(2), true, more.data());
+      same(more, n, [&](Index i) { return 9 + 2 * (at(0, 2 * i) + at(0, 2 * i + 1)); });
+      k.expand(n, rows[0], expanded.data());
+      same(expanded, 2 * n, [&](Index i) {
+        return 0.75 * at(0, i / 2) + 0.25 * at(0, i / 2 + (i % 2 == 0 ? -1 : 1));
+      });
+      k.expand_backward(n, rows[0], back.data());
+      same(back, n, [&](Index i) {
+        return 9 + 0.75 * (at(0, 2 * i) + at(0, 2 * i + 1)) +
+               0.25 * (at(0, 2 * i - 1) + at(0, 2 * i + 2));
+      });
+    }
+}
+
+TEST_CASE("twice the size keeps a constant to the bit") {
+  const Var x(Tensor({2, 5, 37}, 0.1f));
+  const Tensor y = resize_bilinear(x, 10, 74).value();
+  for (Index i = 0; i < y.count(); ++i) REQUIRE(y[i] == 0.1f);
+}
+
 TEST_CASE("area_downsample takes the mean of each block") {
-  for (const Index factor : {1, 2, 3}) {
+  for (const Index factor : {1, 2, 3, 4, 6, 8, 12}) {
+    CAPTURE(factor);
     const Index H = 5 * factor, W = 3 * factor;
     const auto x = normal({2, H, W}, 2);
     const auto y = area_downsample(BasicVar<double>(x), factor).value();
@@ -95,7 +163,12 @@ TEST_CASE("resize gradients") {
     CHECK(gradcheck([=](const V& v) { return resize_nearest(v[0], h, w); }, {x}));
     CHECK(gradcheck([=](const V& v) { return resize_bilinear(v[0], h, w); }, {x}));
   }
-  CHECK(gradcheck([](const V& v) { return area_downsample(v[0], 3); }, {normal({2, 2, 6, 9}, 4)}));
+  for (const Index factor : {1, 2, 3, 4, 6}) {
+    CAPTURE(factor);
+    CHECK(gradcheck([=](const V& v) { return area_downsample(v[0], factor); },
+                    {normal({2, 2, 2 * factor, 3 * factor}, 4)}));
+  }
+  CHECK(gradcheck([](const V& v) { return area_downsample(v[0], 2); }, {normal({2, 2, 4, 38}, 5)}));
 }
 
 TEST_CASE("bilinear resizing keeps a plane inside the map") {
@@ -121,8 +194,10 @@ TEST_CASE("resizing gives the same bits for any number of threads") {
     y.backward(Tensor(y.shape(), 0.3f));
     const Var z = area_downsample(resize_bilinear(a, 134, 180), 2);
     z.backward(x);
+    const Var w = area_downsample(resize_bilinear(resize_nearest(a, 67, 180), 134, 360), 2);
+    w.backward(w.value());
     set_threads(0);
-    return std::vector<Tensor>{y.value(), z.value(), a.grad()};
+    return std::vector<Tensor>{y.value(), z.value(), w.value(), a.grad()};
   };
   const auto one = run(1), two = run(2);
   for (std::size_t k = 0; k < one.size(); ++k)

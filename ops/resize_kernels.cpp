@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/ops/resize_kernels.h"
+
+#include "satsurf/ops/batch_kernels.h"
+
+namespace satsurf::SATSURF_ISA_NS {
+namespace {
+
+/// a, b = even[0], odd[0], even[1], odd[1], ..
+template <class T, Index... I>
+void join(const Batch<T>& even, const Batch<T>& odd, Batch<T>& a, Batch<T>& b, Lanes<I...>) {
+  constexpr Index L = kLanes<T>;
+  a = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + I % 2 * L)...));
+  b = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + L / 2 + I % 2 * L)...));
+}
+
+/// Stores even and odd elements in turn.
+template <class T>
+void store_pairs(const Batch<T>& even, const Batch<T>& odd, T* to) {
+  Batch<T> a, b;
+  join(even, odd, a, b, AllLanes<T>{});
+  a.store_unaligned(to);
+  b.store_unaligned(to + kLanes<T>);
+}
+
+/// The elements at even places and those at odd places of 2 L in a row.
+template <class T>
+struct Pairs {
+  Batch<T> even, odd;
+  explicit Pairs(const T* p) { split(p, AllLanes<T>{}); }
+
+ private:
+  template <Index... I>
+  void split(const T* p, Lanes<I...>) {
+    const auto a = Batch<T>::load_unaligned(p), b = Batch<T>::load_unaligned(p + kLanes<T>);
+    even = Batch<T>(__builtin_shufflevector(a.data, b.data, (2 * I)...));
+    odd = Batch<T>(__builtin_shufflevector(a.data, b.data, (2 * I + 1)...));
+  }
+};
+
+/// R rows at a time, the first of all written and the others added.
+template <class T, Index R>
+void mix_rows(bool first, const T* const* rows, const T* weight, Index n, T* y) {
+  each_batch<T>(n, [=](Index i, Index k) {
+    Batch<T> sum = weight[0] * load(rows[0] + i, k);
+#pragma GCC unroll 4
+    for (Index r = 1; r < R; ++r) sum = xsimd::fma(Batch<T>(weight[r]), load(rows[r] + i, k), sum);
+    store(y + i, first ? sum : sum + load(y + i, k), k);
+  });
+}
+
+template <class T>
+void mix(Index count, const T* const* rows, const T* weight, Index n, T* y) {
+  Index r = 0;
+  for (; r + 4 <= count; r += 4) mix_rows<T, 4>(r == 0, rows + r, weight + r, n, y);
+  for (; r + 2 <= count; r += 2) mix_rows<T, 2>(r == 0, rows + r, weight + r, n, y);
+  for (; r < count; ++r) mix_rows<T, 1>(r == 0, rows + r, weight + r, n, y);
+}
+
+template <class T>
+void between(Index n, const T* a, const T* b, T weight, T* y) {
+  each_batch<T>(n, [=](Index i, Index k) {
+    const Batch<T> from = load(a + i, k);
+    store(y + i, xsimd::fma(Batch<T>(weight), load(b + i, k) - from, from), k);
+  });
+}
+
+template <class T>
+void add(Index n, const T* x, T scale, T* d) {
+  each_batch<T>(n, [=](Index i, Index k) {
+    store(d + i, xsimd::fma(Batch<T>(scale), load(x + i, k), load(d + i, k)), k);
+  });
+}
+
+template <class T>
+void repeat(Index n, const T* x, T* y) {
+  constexpr Index L = kLanes<T>;
+  Index i = 0;
+  for (; i + L <= n; i += L) {
+    const auto v = Batch<T>::load_unaligned(x + i);
+    store_pairs(v, v, y + 2 * i);
+  }
+  for (; i < n; ++i) y[2 * i] = y[2 * i + 1] = x[i];
+}
+
+template <class T>
+void pair_sums(Index n, const T* x, T scale, bool accumulate, T* y) {
+  constexpr Index L = kLanes<T>;
+  Index i = 0;
+  for (; i + L <= n; i += L) {
+    const Pairs<T> at(x + 2 * i);
+    Batch<T> sum = scale * (at.even + at.odd);
+    if (accumulate) sum += Batch<T>::load_unaligned(y + i);
+    sum.store_unaligned(y + i);
+  }
+  for (; i < n; ++i) y[i] = (accumulate ? y[i] : T(0)) + scale * (x[2 * i] + x[2 * i + 1]);
+}
+
+template <class T>
+void expand(Index n, const T* x, T* y) {
+  constexpr Index L = kLanes<T>;
+  Index i = 0;
+  for (; i + L <= n; i += L) {
+    const auto near = Batch<T>::load_unaligned(x + i);
+    const auto side = [&](Index step) {  // exact where the two are equal
+      return xsimd::fma(Batch<T>(T(0.25)), Batch<T>::load_unaligned(x + i + step) - near, near);
+    };
+    store_pairs(side(-1), side(1), y + 2 * i);
+  }
+  for (; i < n; ++i) {
+    y[2 * i] = x[i] + T(0.25) * (x[i - 1] - x[i]);
+    y[2 * i + 1] = x[i] + T(0.25) * (x[i + 1] - x[i]);
+  }
+}
+
+template <class T>
+void expand_backward(Index n, const T* g, T* d) {
+  constexpr Index L = kLanes<T>;
+  Index i = 0;
+  for (; i + L <= n; i += L) {
+    const Pairs<T> before(g + 2 * i - 1),
+        behind(g + 2 * i + 1);  // 2i - 1 and 2i; 2i + 1 and 2i + 2
+    const Batch<T> near = before.odd + behind.even, far = before.even + behind.odd;
+    const auto sum = xsimd::fma(Batch<T>(T(0.75)), near, T(0.25) * far);
+    (Batch<T>::load_unaligned(d + i) + sum).store_unaligned(d + i);
+  }
+  for (; i < n; ++i)
+    d[i] += T(0.75) * (g[2 * i] + g[2 * i + 1]) + T(0.25) * (g[2 * i - 1] + g[2 * i + 2]);
+}
+
+}  // namespace
+
+template <class T>
+ResizeKernels<T> resize_kernels() {
+  return {.mix = mix<T>,
+          .between = between<T>,
+          .add = add<T>,
+          .repeat = repeat<T>,
+          .pair_sums = pair_sums<T>,
+          .expand = expand<T>,
+          .expand_backward = expand_backward<T>};
+}
+template ResizeKernels<float> resize_kernels();
+template ResizeKernels<double> resize_kernels();
+
+}  // namespace satsurf::SATSURF_ISA_NS

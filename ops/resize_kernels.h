@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/shape.h"
+
+namespace satsurf {
+
+/// The loops of resize.cpp along one row, for one instruction set.
+template <class T>
+struct ResizeKernels {
+  /// y[i] = sum_r weight[r] rows[r][i], 0 <= i < n
+  void (*mix)(Index count, const T* const* rows, const T* weight, Index n, T* y);
+  /// y[i] = a[i] + weight (b[i] - a[i])
+  void (*between)(Index n, const T* a, const T* b, T weight, T* y);
+  /// d[i] += scale x[i]
+  void (*add)(Index n, const T* x, T scale, T* d);
+
+  // To twice the width and back; n elements on the narrow side.
+
+  /// y[2 i] = y[2 i + 1] = x[i]
+  void (*repeat)(Index n, const T* x, T* y);
+  /// y[i] = scale (x[2 i] + x[2 i + 1]); with `accumulate` that is added to y[i]
+  void (*pair_sums)(Index n, const T* x, T scale, bool accumulate, T* y);
+  /// y[2 i] = (3 x[i] + x[i - 1]) / 4, y[2 i + 1] = (3 x[i] + x[i + 1]) / 4; reads x[-1] and x[n]
+  void (*expand)(Index n, const T* x, T* y);
+  /// Adds the adjoint: d[i] += (3 (g[2 i] + g[2 i + 1]) + g[2 i - 1] + g[2 i + 2]) / 4; reads g[-1]
+  /// and g[2 n]
+  void (*expand_backward)(Index n, const T* g, T* d);
+};
+
+namespace isa_baseline {
+template <class T>
+ResizeKernels<T> resize_kernels();
+}
+namespace isa_avx2 {
+template <class T>
+ResizeKernels<T> resize_kernels();
+}
+namespace isa_avx512 {
+template <class T>
+ResizeKernels<T> resize_kernels();
+}
+
+}  // namespace satsurf
