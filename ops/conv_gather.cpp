@@ -10,8 +10,7 @@
 namespace satsurf::conv {
 namespace {
 
-constexpr Index kPieces = 16;              // enough for some threads to balance
-constexpr Index kStretchBytes = 16 << 10;  // of inputs that stay in the first-level cache
+constexpr Index kPieces = 16;  // enough for some threads to balance
 
 /// One output phase of each axis, and the (mixed) kernel's positions that reach it.
 struct PhaseTaps {
@@ -92,8 +91,7 @@ class Gather {
     }
     const auto packed = pack(weight, {stride.o * K_, stride.c * K_});
     const Index planes = axes_[0].span();
-    const Pieces pieces(B_, axes_, rows_in_cache<T>(axes_, C_ + (in_turns() ? O_ : 0), planes),
-                        kPieces);
+    const Pieces pieces(B_, axes_, rows_in_cache<T>(axes_, C_, planes), kPieces);
     // of each piece's outputs, added up in the pieces' order
     std::vector<Moments> parts(moments == nullptr ? 0
                                                   : static_cast<std::size_t>(pieces.count() * O_));
@@ -141,16 +139,11 @@ class Gather {
     return static_cast<Index>((axes_[1].mixed ? axes_[1] : axes_[2]).phases.size());
   }
 
-  /// With a single tap a block of outputs uses what it reads only once. So the blocks take turns
-  /// over stretches of positions that stay in the first-level cache.
-  bool in_turns() const { return K_ == 1 && phases_.size() == 1; }
-
   void run_piece(const Piece& piece, Slab<T>& slab, const T* packed, const T* bias, T* out,
                  bool accumulate, Moments* moments) const {
     const Index depth_phases = static_cast<Index>(axes_[0].phases.size());
     const Index width = ceil_div(piece.rows * slab.pitch(), kernels_.lanes) * kernels_.lanes;
-    const Index blocks = in_turns() ? ceil_div(O_, kConvBlock) : 1;
-    auto lines = BasicTensor<T>::uninitialised({blocks, together(), kConvBlock, width});
+    auto lines = BasicTensor<T>::uninitialised({together(), kConvBlock, width});
     std::vector<Index> shifts(static_cast<std::size_t>(K_));
     for (Index m = piece.z; m < piece.z_end; ++m) {
       slab.load(m * axes_[0].reads, m * axes_[0].reads + axes_[0].span());
@@ -160,43 +153,22 @@ class Gather {
         if (m >= phase->z->count || rows <= 0) continue;
         const Index z = (phase->z - axes_[0].phases.data()) + m * depth_phases;
         set_shifts(phase, m, slab, shifts.data());
-        if (in_turns()) gather_in_turns(slab, shifts[0], rows, packed, lines);
         for (Index o = 0; o < O_; o += kConvBlock) {
           const Index outputs = std::min(kConvBlock, O_ - o);
-          T* block = lines.data() + (in_turns() ? o * width : 0);
-          if (!in_turns()) {
-            expect_stores(piece, z, rows, o, outputs, out);
-            gather_block(slab, phase, shifts.data(), rows, o, packed, block, width);
+          expect_stores(piece, z, rows, o, outputs, out);
+          for (Index i = 0; i < together(); ++i) {
+            const Index taps = static_cast<Index>(phase[i].taps.size());
+            const Index n = (rows - 1) * slab.pitch() + phase[i].x->count;
+            kernels_.gather(slab.data(), slab.c_stride(), C_,
+                            shifts.data() + phase[i].before - phase->before, taps,
+                            packed + (o * K_ + phase[i].before * kConvBlock) * C_, outputs, n,
+                            lines.data() + i * kConvBlock * width, width);
           }
-          store(piece, *phase, z, rows, o, outputs, slab.pitch(), block, width, bias, out,
-                accumulate, moments);
+          store(piece, *phase, z, rows, o, outputs, slab.pitch(), lines, bias, out, accumulate,
+                moments);
         }
       }
     }
-  }
-
-  void gather_block(const Slab<T>& slab, const PhaseTaps* phase, const Index* shifts, Index rows,
-                    Index o, const T* packed, T* lines, Index width) const {
-    for (Index i = 0; i < together(); ++i) {
-      const Index taps = static_cast<Index>(phase[i].taps.size());
-      const Index n = (rows - 1) * slab.pitch() + phase[i].x->count;
-      kernels_.gather(slab.data(), slab.c_stride(), C_, shifts + phase[i].before - phase->before,
-                      taps, packed + (o * K_ + phase[i].before * kConvBlock) * C_,
-                      std::min(kConvBlock, O_ - o), n, lines + i * kConvBlock * width, width);
-    }
-  }
-
-  void gather_in_turns(const Slab<T>& slab, Index shift, Index rows, const T* packed,
-                       BasicTensor<T>& lines) const {
-    const Index n = (rows - 1) * slab.pitch() + axes_[2].most, width = lines.dim(3);
-    const Index unit = 3 * kernels_.lanes;  // of the largest register tile
-    const Index fit = kStretchBytes / static_cast<Index>(sizeof(T)) / C_ / unit * unit;
-    const Index stretch = std::max(unit, fit);
-    for (Index p = 0; p < n; p += stretch)
-      for (Index o = 0; o < O_; o += kConvBlock)
-        kernels_.gather(slab.data() + p, slab.c_stride(), C_, &shift, 1, packed + o * C_,
-                        std::min(kConvBlock, O_ - o), std::min(stretch, n - p),
-                        lines.data() + o * width + p, width);
   }
 
   void set_shifts(const PhaseTaps* phase, Index m, const Slab<T>& slab, Index* shift) const {
@@ -219,23 +191,23 @@ class Gather {
   }
 
   void store(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
-             Index outputs, Index pitch, const T* lines, Index width, const T* bias, T* out,
+             Index outputs, Index pitch, const BasicTensor<T>& lines, const T* bias, T* out,
              bool accumulate, Moments* moments) const {
     const Index H = out_size_[1], W = out_size_[2];
     const Index row_phases = axes_[1].mixed ? 1 : static_cast<Index>(axes_[1].phases.size());
-    const Index phase_stride = kConvBlock * width;
+    const Index width = lines.dim(2), phase_stride = kConvBlock * width;
     for (Index i = 0; i < outputs; ++i) {
       T* plane = out + ((piece.b * O_ + o + i) * out_size_[0] + z) * H * W;
       const T b = bias == nullptr ? T(0) : bias[o + i];
       for (Index r = 0; r < rows; ++r) {
-        const T* line = lines + i * width + r * pitch;
+        const T* line = lines.data() + i * width + r * pitch;
         if (axes_[1].mixed) {
           const Index y = (piece.row + r) * winograd::kOutputs;
           kernels_.rows.mix_output(line, phase_stride, b, accumulate, plane + y * W, W,
                                    std::min(winograd::kOutputs, H - y), W);
         } else {
           const Index y = phase.first_row + (piece.row + r) * row_phases;
-          kernels_.rows.store(line, phase_stride, together(), b, accumulate, plane + y * W, W);
+          kernels_.rows.store(line, phase_stride, lines.dim(0), b, accumulate, plane + y * W, W);
         }
       }
       if (moments == nullptr) continue;
