@@ -30,6 +30,14 @@ struct CountLanes<0, I...> {
 template <class T>
 using AllLanes = typename CountLanes<kLanes<T>>::Type;
 
+/// a, b = even[0], odd[0], even[1], odd[1], ..
+template <class T, Index... I>
+void interleave(const Batch<T>& even, const Batch<T>& odd, Batch<T>& a, Batch<T>& b, Lanes<I...>) {
+  constexpr Index L = kLanes<T>;
+  a = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + I % 2 * L)...));
+  b = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + L / 2 + I % 2 * L)...));
+}
+
 /// Part of a vector, for rows shorter than one; xsimd's batches of other instruction sets would be
 /// shared with the sources compiled for those.
 template <class T, std::size_t Bytes>

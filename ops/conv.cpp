@@ -71,14 +71,13 @@ conv::Input<T> input_of(const Node<T>& n, Activation activation) {
 /// Gradients of x and its affine: `adjoint(target, accumulate)` computes that of the normalised x.
 template <class T, class Adjoint>
 void input_gradient(Node<T>& n, Activation activation, const Adjoint& adjoint) {
-  T *dx = n.grad_in(0), *daffine = n.grad_in(1);
-  if (dx == nullptr && daffine == nullptr) return;
-  const BasicTensor<T>& x = n.inputs[0]->value;
-  if (n.inputs[1] == nullptr && activation == Activation::none) return adjoint(dx, true);
-  auto dz = BasicTensor<T>::uninitialised(x.shape());
+  const bool plain = n.inputs[1] == nullptr && activation == Activation::none;
+  T* dx = n.grad_in(0);
+  if (dx == nullptr && (plain || n.grad_in(1) == nullptr)) return;
+  if (plain) return adjoint(dx, true);
+  auto dz = BasicTensor<T>::uninitialised(n.inputs[0]->value.shape());
   adjoint(dz.data(), false);
-  detail::normalised_backward(x, n.inputs[1] ? n.inputs[1]->value : BasicTensor<T>(), activation,
-                              dz.data(), dx, daffine);
+  detail::normalised_backward(n, 0, activation, dz.data());
 }
 
 /// What conv2d and conv3d share once the shapes are checked.

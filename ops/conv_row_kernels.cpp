@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/ops/conv_row_kernels.h"
 
-#include "satsurf/core/simd.h"
+#include "satsurf/ops/batch_kernels.h"
 #include "satsurf/ops/conv_winograd.h"
 
 #include <cstddef>
@@ -10,14 +10,6 @@ namespace satsurf::SATSURF_ISA_NS {
 namespace {
 
 using conv::winograd::kMixes, conv::winograd::kOutputs;
-
-/// Element I of both in turn: even[0], odd[0], even[1], ..
-template <class T, Index... I>
-void interleave(const Batch<T>& even, const Batch<T>& odd, Batch<T>& a, Batch<T>& b, Lanes<I...>) {
-  constexpr Index L = kLanes<T>;
-  a = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + I % 2 * L)...));
-  b = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + L / 2 + I % 2 * L)...));
-}
 
 /// Vectors from the front and one more that ends with the row; shorter rows by shorter vectors.
 template <class T, std::size_t Bytes = kVectorBytes<T>>
@@ -60,7 +52,8 @@ void split_row(const T* src, T* even, T* odd, Index n) {
 }
 
 template <class T>
-void pad(const T* src, Index n, Index left, Index phases, T* dst, Index phase_stride, Index count) {
+void pad_row(const T* src, Index n, Index left, Index phases, T* dst, Index phase_stride,
+             Index count) {
   if (n == 0) {
     for (Index f = 0; f < phases; ++f)
       for (Index i = 0; i < count; ++i) dst[f * phase_stride + i] = T(0);
@@ -114,8 +107,8 @@ void interleave_row(const T* even, const T* odd, T bias, bool accumulate, T* dst
 }
 
 template <class T>
-void store(const T* src, Index phase_stride, Index phases, T bias, bool accumulate, T* dst,
-           Index n) {
+void store_row(const T* src, Index phase_stride, Index phases, T bias, bool accumulate, T* dst,
+               Index n) {
   constexpr Index L = kLanes<T>;
   Index i = 0;
   if (phases == 1) {
@@ -130,22 +123,6 @@ void store(const T* src, Index phase_stride, Index phases, T bias, bool accumula
   }
   for (; i < n; ++i)
     dst[i] = (accumulate ? dst[i] : T(0)) + (src[i % phases * phase_stride + i / phases] + bias);
-}
-
-/// The first n elements of a vector; those behind are zero and stay as they are.
-template <class T>
-Batch<T> load_first(const T* src, Index n) {
-  if (n >= kLanes<T>) return Batch<T>::load_unaligned(src);
-  T lanes[kLanes<T>] = {};
-  for (Index i = 0; i < n; ++i) lanes[i] = src[i];
-  return Batch<T>::load_unaligned(lanes);
-}
-template <class T>
-void store_first(const Batch<T>& v, T* dst, Index n) {
-  if (n >= kLanes<T>) return v.store_unaligned(dst);
-  T lanes[kLanes<T>];
-  v.store_unaligned(lanes);
-  for (Index i = 0; i < n; ++i) dst[i] = lanes[i];
 }
 
 template <class T>
@@ -208,10 +185,10 @@ void mix_rows(const T* const* src, Index n, T* dst, Index mix_stride, const Mix&
   Batch<T> in[N], out[kMixes];
   if (n < L) {
 #pragma GCC unroll 8
-    for (Index k = 0; k < N; ++k) in[k] = load_first(rows[k], n);
+    for (Index k = 0; k < N; ++k) in[k] = load(rows[k], n);
     mix(in, out);
 #pragma GCC unroll 8
-    for (Index i = 0; i < kMixes; ++i) store_first(out[i], dst + i * mix_stride, n);
+    for (Index i = 0; i < kMixes; ++i) store(dst + i * mix_stride, out[i], n);
     return;
   }
   for (Index p = 0; p < n; p += L) {
@@ -252,8 +229,8 @@ void mix_gradient_rows(const T* const* src, Index n, T* dst, Index mix_stride, I
 template <class T>
 void put(const Batch<T>& v, T bias, bool accumulate, T* to, Index count) {
   Batch<T> sum = v + bias;
-  if (accumulate) sum += load_first(to, count);
-  store_first(sum, to, count);
+  if (accumulate) sum += load(to, count);
+  store(to, sum, count);
 }
 
 template <class T>
@@ -274,7 +251,7 @@ void mix_output_rows(const T* src, Index mix_stride, T bias, bool accumulate, T*
   for (; p < n; p += L) {
     const Index count = n - p < L ? n - p : L;
 #pragma GCC unroll 8
-    for (Index i = 0; i < kMixes; ++i) m[i] = load_first(src + i * mix_stride + p, count);
+    for (Index i = 0; i < kMixes; ++i) m[i] = load(src + i * mix_stride + p, count);
     mix_output(m, y);
 #pragma GCC unroll 8
     for (Index j = 0; j < kOutputs; ++j)
@@ -286,8 +263,8 @@ void mix_output_rows(const T* src, Index mix_stride, T bias, bool accumulate, T*
 
 template <class T>
 ConvRowKernels<T> conv_row_kernels() {
-  return {.pad = pad<T>,
-          .store = store<T>,
+  return {.pad = pad_row<T>,
+          .store = store_row<T>,
           .normalise = norm_apply<T>,
           .sums = norm_sums<T>,
           .mix_input = mix_input_rows<T>,

@@ -212,7 +212,8 @@ template <class T>
 void Slab<T>::load_mixed_rows(const T* src, const T* next, Index channel, T* dst) {
   using namespace winograd;
   const Axis &row = axes_[1], &column = axes_[2];
-  Index known = -1;  // last row that has been read; groups of six share two
+  std::array<const T*, kMixes> lines{};  // by row modulo kMixes: groups of six share two
+  Index known = -1;                      // last row that has been read
   for (Index i = 0; i < line_rows_; ++i) {
     std::array<const T*, kMixes> rows;
     for (Index k = 0; k < kMixes; ++k) {
@@ -221,10 +222,10 @@ void Slab<T>::load_mixed_rows(const T* src, const T* next, Index channel, T* dst
       if (src == nullptr || y < 0 || y >= row.size) {
         at = zeros_.data();
       } else if (y <= known) {
-        at = shared_[static_cast<std::size_t>(y % kMixes)];
+        at = lines[static_cast<std::size_t>(y % kMixes)];
       } else {
         at = rows_.read(src + y * column.size, channel, y % kMixes);
-        shared_[static_cast<std::size_t>(y % kMixes)] = at;
+        lines[static_cast<std::size_t>(y % kMixes)] = at;
         known = y;
       }
     }

@@ -125,7 +125,6 @@ class Slab {
   Index C_, planes_, pitch_, line_rows_, plane_stride_, c_stride_;
   BasicTensor<T> buffer_, zeros_;
   Rows<T> rows_;
-  std::array<const T*, 6> shared_{};  ///< rows that the next group of mixed rows reads again
   Index channel_ = 0, row_ = 0, next_ = 0;
 };
 

@@ -2,9 +2,6 @@
 #include "satsurf/ops/norm.h"
 
 #include "satsurf/core/dims.h"
-#include "satsurf/core/isa.h"
-#include "satsurf/core/parallel.h"
-#include "satsurf/ops/pointwise_kernels.h"
 
 #include <cmath>
 #include <string>
@@ -77,22 +74,15 @@ Normalised<T> group_normalised(const BasicVar<T>& x, const BasicVar<T>& gamma,
         }
         if (dx == nullptr) return;
         // mean = sum(x) / M and rstd = (sum((x - mean)^2) / M + epsilon)^(-1/2)
-        const auto kernel = SATSURF_DISPATCH(norm_add_linear<T>);
-        const Index size = n.inputs[0]->value.count() / (B * C);
-        constexpr Index kChunk = 1 << 14;
-        for_range(B * C * size, kChunk, [&](Index begin, Index end) {
-          for (Index i = begin; i < end;) {
-            const Index row = i / size, stop = std::min(end, (row + 1) * size);
-            const std::size_t q = at(row / per_group);
-            const Group& own = group[q];
-            const double slope = -std::pow(own.rstd, 3) * drstd[q] / own.count;
-            kernel(stop - i, n.in(0) + i,
-                   NormRow<T>{static_cast<T>(own.mean), static_cast<T>(slope),
-                              static_cast<T>(dmean[q] / own.count)},
-                   dx + i);
-            i = stop;
-          }
-        });
+        auto linear = BasicTensor<T>::uninitialised({3, B, C});
+        for (Index row = 0; row < B * C; ++row) {
+          const std::size_t q = at(row / per_group);
+          const Group& own = group[q];
+          linear[row] = static_cast<T>(own.mean);
+          linear[B * C + row] = static_cast<T>(-std::pow(own.rstd, 3) * drstd[q] / own.count);
+          linear[2 * B * C + row] = static_cast<T>(dmean[q] / own.count);
+        }
+        detail::add_affine(n.inputs[0]->value, linear, dx);
       });
   return {x, coefficients, activation};
 }

@@ -53,10 +53,12 @@ void detail::check_normalised(const char* op, const Normalised<T>& value) {
 }
 
 template <class T>
-void detail::normalised_backward(const BasicTensor<T>& x, const BasicTensor<T>& affine,
-                                 Activation activation, const T* dz, T* dx, T* daffine) {
+void detail::normalised_backward(Node<T>& n, std::size_t i, Activation activation, const T* dz) {
+  T *dx = n.grad_in(i), *daffine = n.grad_in(i + 1);
+  if (dx == nullptr && daffine == nullptr) return;
+  const BasicTensor<T>& x = n.inputs[i]->value;
   const Rows rows(x.shape());
-  const NormRows<T> norm(affine.data(), rows.count);
+  const NormRows<T> norm(n.inputs[i + 1] ? n.in(i + 1) : nullptr, rows.count);
   std::vector<double> sums(at(2 * rows.count * rows.chunks));
   const auto kernel = SATSURF_DISPATCH(norm_backward<T>);
   rows.each_chunk([&](Index row, Index k, Index begin, Index end) {
@@ -77,6 +79,16 @@ void detail::normalised_backward(const BasicTensor<T>& x, const BasicTensor<T>& 
 }
 
 template <class T>
+void detail::add_affine(const BasicTensor<T>& x, const BasicTensor<T>& affine, T* d) {
+  const Rows rows(x.shape());
+  const NormRows<T> norm(affine.data(), rows.count);
+  const auto kernel = SATSURF_DISPATCH(norm_add_linear<T>);
+  rows.each_chunk([&](Index row, Index, Index begin, Index end) {
+    kernel(end - begin, x.data() + begin, norm[row], d + begin);
+  });
+}
+
+template <class T>
 BasicVar<T> evaluate(Normalised<T> value) {
   detail::check_normalised("evaluate", value);
   if (value.affine.empty() && value.activation == Activation::none) return std::move(value.x);
@@ -90,10 +102,7 @@ BasicVar<T> evaluate(Normalised<T> value) {
     kernel(end - begin, x + begin, norm[row], activation, nullptr, out.data() + begin);
   });
   return BasicVar<T>::record("evaluate", out, {value.x, value.affine}, [activation](Node<T>& n) {
-    T *dx = n.grad_in(0), *daffine = n.grad_in(1);
-    detail::normalised_backward(n.inputs[0]->value,
-                                n.inputs[1] ? n.inputs[1]->value : BasicTensor<T>(), activation,
-                                n.grad.data(), dx, daffine);
+    detail::normalised_backward(n, 0, activation, n.grad.data());
   });
 }
 
@@ -116,15 +125,11 @@ BasicVar<T> add(Normalised<T> a, Normalised<T> b) {
     kernel(end - begin, pa + begin, norm_a[row], act_a, nullptr, sum);
     kernel(end - begin, pb + begin, norm_b[row], act_b, sum, sum);
   });
-  return BasicVar<T>::record(
-      "add", out, {a.x, a.affine, b.x, b.affine}, [act_a, act_b](Node<T>& n) {
-        for (const std::size_t i : {std::size_t{0}, std::size_t{2}}) {
-          T *dx = n.grad_in(i), *daffine = n.grad_in(i + 1);
-          detail::normalised_backward(n.inputs[i]->value,
-                                      n.inputs[i + 1] ? n.inputs[i + 1]->value : BasicTensor<T>(),
-                                      i == 0 ? act_a : act_b, n.grad.data(), dx, daffine);
-        }
-      });
+  return BasicVar<T>::record("add", out, {a.x, a.affine, b.x, b.affine},
+                             [act_a, act_b](Node<T>& n) {
+                               detail::normalised_backward(n, 0, act_a, n.grad.data());
+                               detail::normalised_backward(n, 2, act_b, n.grad.data());
+                             });
 }
 
 Moments Moments::about(double centre, double n, double sum, double squares) {
@@ -159,10 +164,10 @@ ChannelMoments channel_moments(const BasicTensor<T>& x) {
 
 template void detail::check_normalised(const char*, const Normalised<float>&);
 template void detail::check_normalised(const char*, const Normalised<double>&);
-template void detail::normalised_backward(const Tensor&, const Tensor&, Activation, const float*,
-                                          float*, float*);
-template void detail::normalised_backward(const BasicTensor<double>&, const BasicTensor<double>&,
-                                          Activation, const double*, double*, double*);
+template void detail::normalised_backward(Node<float>&, std::size_t, Activation, const float*);
+template void detail::normalised_backward(Node<double>&, std::size_t, Activation, const double*);
+template void detail::add_affine(const Tensor&, const Tensor&, float*);
+template void detail::add_affine(const BasicTensor<double>&, const BasicTensor<double>&, double*);
 template BasicVar<float> evaluate(Normalised<float>);
 template BasicVar<double> evaluate(Normalised<double>);
 template BasicVar<float> add(Normalised<float>, Normalised<float>);

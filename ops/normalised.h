@@ -3,6 +3,7 @@
 
 #include "satsurf/core/var.h"
 
+#include <cstddef>
 #include <utility>
 #include <vector>
 
@@ -67,11 +68,14 @@ namespace detail {
 /// Throws ShapeError unless `affine` fits x.
 template <class T>
 void check_normalised(const char* op, const Normalised<T>& value);
-/// Adds to the gradients of x and of affine what `dz`, the gradient of the value, means for them;
-/// either may be nullptr.
+/// Adds to the gradients of x and affine, inputs i and i + 1 of a recorded op, what `dz`, the
+/// gradient of the value, means for them.
 template <class T>
-void normalised_backward(const BasicTensor<T>& x, const BasicTensor<T>& affine,
-                         Activation activation, const T* dz, T* dx, T* daffine);
+void normalised_backward(Node<T>& n, std::size_t i, Activation activation, const T* dz);
+/// d += scale (x - centre) + shift
+/// affine  [3 B C]
+template <class T>
+void add_affine(const BasicTensor<T>& x, const BasicTensor<T>& affine, T* d);
 }  // namespace detail
 
 }  // namespace satsurf

@@ -6,19 +6,11 @@
 namespace satsurf::SATSURF_ISA_NS {
 namespace {
 
-/// a, b = even[0], odd[0], even[1], odd[1], ..
-template <class T, Index... I>
-void join(const Batch<T>& even, const Batch<T>& odd, Batch<T>& a, Batch<T>& b, Lanes<I...>) {
-  constexpr Index L = kLanes<T>;
-  a = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + I % 2 * L)...));
-  b = Batch<T>(__builtin_shufflevector(even.data, odd.data, (I / 2 + L / 2 + I % 2 * L)...));
-}
-
 /// Stores even and odd elements in turn.
 template <class T>
 void store_pairs(const Batch<T>& even, const Batch<T>& odd, T* to) {
   Batch<T> a, b;
-  join(even, odd, a, b, AllLanes<T>{});
+  interleave(even, odd, a, b, AllLanes<T>{});
   a.store_unaligned(to);
   b.store_unaligned(to + kLanes<T>);
 }
