@@ -64,14 +64,48 @@ struct WeightStrides {
   Index o, c;
 };
 
+/// How outputs get from the sums to where they belong.
+enum class Route {
+  lines,   ///< to lines of the slab's layout first, which are then combined or interleaved
+  direct,  ///< there at once: outputs stand like the slab's positions
+  lanes,   ///< there at once, from vectors whose lanes are channels: columns need not be split
+};
+
+bool single_tap(const Geometry& g) {
+  return g.taps() == 1 && g.x_size == g.y_size && g.stride == std::array<Index, 3>{1, 1, 1};
+}
+
+/// The same rows as planes of one row, some joined: planes are loaded while others are computed.
+Geometry as_lines(Geometry g) {
+  constexpr Index kLine = 1024;
+  Index lines = g.x_size[0] * g.x_size[1], width = g.x_size[2];
+  for (const Index factor : {2, 3, 5})
+    while (lines % factor == 0 && width * factor <= kLine) {
+      lines /= factor;
+      width *= factor;
+    }
+  g.x_size = g.y_size = {lines, 1, width};
+  return g;
+}
+
+template <class T>
+Route correlation_route(const ConvKernels<T>& kernels, const Geometry& g) {
+  if (single_tap(g) && g.y_size[2] % kernels.lanes == 0) return Route::direct;
+  return g.O >= kernels.lanes && g.stride[2] == 2 ? Route::lanes : Route::lines;
+}
+
 /// What a correlation and its adjoint share: O channels gathered from C channels.
 template <class T>
 class Gather {
  public:
   Gather(const ConvKernels<T>& kernels, Axes axes, const Geometry& g, Index C, Index O,
-         const std::array<Index, 3>& out_size)
+         const std::array<Index, 3>& out_size, Route route)
       : kernels_(kernels),
-        axes_(with_mixed_rows(std::move(axes), g.B)),
+        route_(route),
+        block_(route == Route::lanes ? kernels.lanes : kConvBlock),
+        axes_(route == Route::lines   ? with_mixed_rows(std::move(axes), g.B)
+              : route == Route::lanes ? with_whole_columns(std::move(axes), g)
+                                      : std::move(axes)),
         g_(g),
         kernel_(kernel_of(axes_, g)),
         B_(g.B),
@@ -111,24 +145,23 @@ class Gather {
   }
 
  private:
-  /// [block of outputs][phase][c][tap][kConvBlock]; outputs beyond O are zero. Strides in elements.
+  /// [block of outputs][phase][c][tap][block]; outputs beyond O are zero. Strides in elements.
   BasicTensor<T> pack(const T* weight, WeightStrides stride) const {
-    const Index blocks = ceil_div(O_, kConvBlock);
-    auto packed = BasicTensor<T>::uninitialised({blocks * C_ * K_ * kConvBlock});
-    for_range(blocks * C_, std::max<Index>(1, 4096 / (K_ * kConvBlock)),
-              [&](Index begin, Index end) {
-                for (Index i = begin; i < end; ++i)
-                  pack_channel(i / C_, i % C_, weight + i % C_ * stride.c, stride.o, packed.data());
-              });
+    const Index blocks = ceil_div(O_, block_);
+    auto packed = BasicTensor<T>::uninitialised({blocks * C_ * K_ * block_});
+    for_range(blocks * C_, std::max<Index>(1, 4096 / (K_ * block_)), [&](Index begin, Index end) {
+      for (Index i = begin; i < end; ++i)
+        pack_channel(i / C_, i % C_, weight + i % C_ * stride.c, stride.o, packed.data());
+    });
     return packed;
   }
 
   void pack_channel(Index block, Index c, const T* weight, Index o_stride, T* packed) const {
     for (const PhaseTaps& phase : phases_) {
       const Index taps = static_cast<Index>(phase.taps.size());
-      T* dst = packed + ((block * K_ + phase.before) * C_ + c * taps) * kConvBlock;
+      T* dst = packed + ((block * K_ + phase.before) * C_ + c * taps) * block_;
       for (const Index t : phase.taps)
-        for (Index o = block * kConvBlock; o < (block + 1) * kConvBlock; ++o)
+        for (Index o = block * block_; o < (block + 1) * block_; ++o)
           *dst++ = o < O_ ? weight[o * o_stride + t] : T(0);
     }
   }
@@ -143,7 +176,8 @@ class Gather {
                  bool accumulate, Moments* moments) const {
     const Index depth_phases = static_cast<Index>(axes_[0].phases.size());
     const Index width = ceil_div(piece.rows * slab.pitch(), kernels_.lanes) * kernels_.lanes;
-    auto lines = BasicTensor<T>::uninitialised({together(), kConvBlock, width});
+    auto lines =
+        BasicTensor<T>::uninitialised({together(), kConvBlock, route_ == Route::lines ? width : 0});
     std::vector<Index> shifts(static_cast<std::size_t>(K_));
     for (Index m = piece.z; m < piece.z_end; ++m) {
       slab.load(m * axes_[0].reads, m * axes_[0].reads + axes_[0].span());
@@ -153,16 +187,32 @@ class Gather {
         if (m >= phase->z->count || rows <= 0) continue;
         const Index z = (phase->z - axes_[0].phases.data()) + m * depth_phases;
         set_shifts(phase, m, slab, shifts.data());
-        for (Index o = 0; o < O_; o += kConvBlock) {
-          const Index outputs = std::min(kConvBlock, O_ - o);
-          expect_stores(piece, z, rows, o, outputs, out);
+        for (Index o = 0; o < O_; o += block_) {
+          const Index outputs = std::min(block_, O_ - o);
+          expect_stores(piece, *phase, z, rows, o, outputs, out);
+          ConvGather<T> gather{.x = slab.data(),
+                               .c_stride = slab.c_stride(),
+                               .C = C_,
+                               .shift = shifts.data(),
+                               .taps = 0,
+                               .weight = nullptr,
+                               .bias = kNoBias,
+                               .add = false,
+                               .outputs = outputs,
+                               .out = nullptr,
+                               .out_stride = width};
+          if (route_ != Route::lines) {
+            gather_directly(piece, z, rows, o, slab, packed, bias, out, accumulate, moments,
+                            gather);
+            continue;
+          }
           for (Index i = 0; i < together(); ++i) {
-            const Index taps = static_cast<Index>(phase[i].taps.size());
-            const Index n = (rows - 1) * slab.pitch() + phase[i].x->count;
-            kernels_.gather(slab.data(), slab.c_stride(), C_,
-                            shifts.data() + phase[i].before - phase->before, taps,
-                            packed + (o * K_ + phase[i].before * kConvBlock) * C_, outputs, n,
-                            lines.data() + i * kConvBlock * width, width);
+            const Index count = (rows - 1) * slab.pitch() + phase[i].x->count;
+            gather.taps = static_cast<Index>(phase[i].taps.size());
+            gather.weight = packed + (o * K_ + phase[i].before * kConvBlock) * C_;
+            gather.out = lines.data() + i * kConvBlock * width;
+            kernels_.gather(gather, count);
+            gather.shift += gather.taps;
           }
           store(piece, *phase, z, rows, o, outputs, slab.pitch(), lines, bias, out, accumulate,
                 moments);
@@ -179,15 +229,45 @@ class Gather {
   }
 
   /// Asks for the rows that `store` writes after the gathering: by then they are there.
-  void expect_stores(const Piece& piece, Index z, Index rows, Index o, Index outputs,
-                     T* out) const {
-    if (!axes_[1].mixed && axes_[1].phases.size() > 1) return;  // written in turns, with gaps
+  void expect_stores(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
+                     Index outputs, const T* out) const {
     const Index H = out_size_[1], W = out_size_[2], group = axes_[1].mixed ? winograd::kOutputs : 1;
-    const Index first = piece.row * group, last = std::min(H, (piece.row + rows) * group);
+    const Index step = axes_[1].mixed ? 1 : static_cast<Index>(axes_[1].phases.size());
+    const Index first = (axes_[1].mixed ? 0 : phase.first_row) + piece.row * group * step;
+    const Index last = std::min(H, first + rows * group * step);
     for (Index i = o; i < o + outputs; ++i) {
       const T* plane = out + ((piece.b * O_ + i) * out_size_[0] + z) * H * W;
-      expect(plane + first * W, plane + last * W);
+      if (step == 1) {
+        expect(plane + first * W, plane + last * W);
+        continue;
+      }
+      for (Index y = first; y < last; y += step) expect(plane + y * W, plane + (y + 1) * W);
     }
+  }
+
+  /// The routes without lines. They have one phase.
+  void gather_directly(const Piece& piece, Index z, Index rows, Index o, const Slab<T>& slab,
+                       const T* packed, const T* bias, T* out, bool accumulate, Moments* moments,
+                       ConvGather<T>& gather) const {
+    const Index H = out_size_[1], W = out_size_[2], count = out_size_[0] * H * W;
+    T* const first = out + (piece.b * O_ + o) * count + (z * H + piece.row) * W;
+    alignas(64) T start[kMostLanes] = {};
+    if (bias != nullptr) std::copy_n(bias + o, gather.outputs, start);
+    gather.taps = K_;
+    gather.weight = packed + o * K_ * C_;
+    gather.bias = start;
+    gather.add = accumulate;
+    gather.out = first;
+    gather.out_stride = count;
+    for (Index r = 0; r < rows; ++r, gather.x += slab.pitch(), gather.out += W) {
+      if (route_ == Route::lanes)
+        kernels_.gather_in_lanes(gather, W, g_.stride[2]);
+      else
+        kernels_.gather(gather, W);
+    }
+    if (moments == nullptr) return;
+    for (Index i = 0; i < gather.outputs; ++i)
+      add_moments(first + i * count, rows * W, moments[o + i]);
   }
 
   void store(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
@@ -230,7 +310,12 @@ class Gather {
         Moments::about(static_cast<double>(x[0]), static_cast<double>(n), sums[0], sums[1]));
   }
 
+  static constexpr Index kMostLanes = 64 / static_cast<Index>(sizeof(T));
+  static constexpr T kNoBias[kConvBlock] = {};
+
   const ConvKernels<T>& kernels_;
+  const Route route_;
+  const Index block_;  ///< outputs whose weights stand next to each other
   const Axes axes_;
   const Geometry& g_;
   const std::array<Index, 3> kernel_;
@@ -244,7 +329,9 @@ class Gather {
 template <class T>
 void correlate(const ConvKernels<T>& kernels, const Geometry& g, const Input<T>& x, const T* weight,
                const T* bias, T* y, bool accumulate, ChannelMoments* moments) {
-  const Gather<T> gather(kernels, correlation_axes(g), g, g.C, g.O, g.y_size);
+  const Geometry shape = single_tap(g) ? as_lines(g) : g;
+  const Gather<T> gather(kernels, correlation_axes(shape), shape, g.C, g.O, shape.y_size,
+                         correlation_route(kernels, shape));
   gather.run(x, weight, {.o = g.C, .c = 1}, bias, y, accumulate, moments);
 }
 
@@ -252,7 +339,9 @@ template <class T>
 void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& g, const Input<T>& y,
                        const T* weight, const T* bias, T* x, bool accumulate,
                        ChannelMoments* moments) {
-  const Gather<T> gather(kernels, adjoint_axes(g), g, g.O, g.C, g.x_size);
+  const Geometry shape = single_tap(g) ? as_lines(g) : g;
+  const Route route = single_tap(g) ? correlation_route(kernels, shape) : Route::lines;
+  const Gather<T> gather(kernels, adjoint_axes(shape), shape, g.O, g.C, shape.x_size, route);
   gather.run(y, weight, {.o = 1, .c = g.C}, bias, x, accumulate, moments);
 }
 

@@ -28,17 +28,16 @@ constexpr Index tile_columns(Index outputs) {
 }
 
 template <class T, Index O, Index V>
-void gather_tile(const T* x, Index c_stride, Index C, const Index* shift, Index taps,
-                 const T* weight, T* out, Index out_stride) {
+void gather_tile(const ConvGather<T>& g, const T* x, const T* weight, const T* bias, T* out) {
   constexpr Index L = kLanes<T>;
   Batch<T> acc[O][V];
 #pragma GCC unroll 8
   for (Index o = 0; o < O; ++o)
 #pragma GCC unroll 8
-    for (Index v = 0; v < V; ++v) acc[o][v] = Batch<T>(T(0));
-  for (Index c = 0; c < C; ++c, x += c_stride)
-    for (Index t = 0; t < taps; ++t, weight += kConvBlock) {
-      const T* xt = x + shift[t];
+    for (Index v = 0; v < V; ++v) acc[o][v] = Batch<T>(bias[o]);
+  for (Index c = 0; c < g.C; ++c, x += g.c_stride)
+    for (Index t = 0; t < g.taps; ++t, weight += kConvBlock) {
+      const T* xt = x + g.shift[t];
       Batch<T> in[V];
 #pragma GCC unroll 8
       for (Index v = 0; v < V; ++v) in[v] = Batch<T>::load_unaligned(xt + v * L);
@@ -49,40 +48,106 @@ void gather_tile(const T* x, Index c_stride, Index C, const Index* shift, Index 
         for (Index v = 0; v < V; ++v) acc[o][v] = xsimd::fma(w, in[v], acc[o][v]);
       }
     }
+  if (g.add)
+#pragma GCC unroll 8
+    for (Index o = 0; o < O; ++o)
+#pragma GCC unroll 8
+      for (Index v = 0; v < V; ++v)
+        acc[o][v] += Batch<T>::load_unaligned(out + o * g.out_stride + v * L);
 #pragma GCC unroll 8
   for (Index o = 0; o < O; ++o)
 #pragma GCC unroll 8
-    for (Index v = 0; v < V; ++v) acc[o][v].store_unaligned(out + o * out_stride + v * L);
+    for (Index v = 0; v < V; ++v) acc[o][v].store_unaligned(out + o * g.out_stride + v * L);
 }
 
 /// Tiles of V vectors while they fit, then of half as many, down to one.
 template <class T, Index O, Index V>
-void gather_outputs(const T* x, Index c_stride, Index C, const Index* shift, Index taps,
-                    const T* weight, Index vectors, T* out, Index out_stride) {
+void gather_outputs(const ConvGather<T>& g, Index first, Index vectors, const T* x, T* out) {
   constexpr Index L = kLanes<T>;
   for (; vectors >= V; vectors -= V, x += V * L, out += V * L)
-    gather_tile<T, O, V>(x, c_stride, C, shift, taps, weight, out, out_stride);
-  if constexpr (V > 1)
-    gather_outputs<T, O, (V + 1) / 2>(x, c_stride, C, shift, taps, weight, vectors, out,
-                                      out_stride);
+    gather_tile<T, O, V>(g, x, g.weight + first, g.bias + first, out);
+  if constexpr (V > 1) gather_outputs<T, O, (V + 1) / 2>(g, first, vectors, x, out);
 }
 
 template <class T>
-void gather(const T* x, Index c_stride, Index C, const Index* shift, Index taps, const T* weight,
-            Index outputs, Index n, T* out, Index out_stride) {
+void gather(const ConvGather<T>& g, Index n) {
   const Index vectors = (n + kLanes<T> - 1) / kLanes<T>;
+  Index first = 0;
   const auto run = [&]<Index O>() {
-    gather_outputs<T, O, tile_vectors(O)>(x, c_stride, C, shift, taps, weight, vectors, out,
-                                          out_stride);
-    weight += O;
-    out += O * out_stride;
-    outputs -= O;
+    for (; g.outputs - first >= O; first += O)
+      gather_outputs<T, O, tile_vectors(O)>(g, first, vectors, g.x, g.out + first * g.out_stride);
   };
-  if constexpr (kManyRegisters)
-    while (outputs >= 8) run.template operator()<8>();
-  while (outputs >= 4) run.template operator()<4>();
-  while (outputs >= 2) run.template operator()<2>();
-  while (outputs >= 1) run.template operator()<1>();
+  if constexpr (kManyRegisters) run.template operator()<8>();
+  run.template operator()<4>();
+  run.template operator()<2>();
+  run.template operator()<1>();
+}
+
+/// One step of a transposition by halves: lanes whose bit S differs from their row's change places.
+template <class T, Index S, Index... I>
+void exchange(Batch<T>& a, Batch<T>& b, Lanes<I...>) {
+  constexpr Index L = kLanes<T>;
+  const auto low = __builtin_shufflevector(a.data, b.data, ((I & S) != 0 ? L + I - S : I)...);
+  const auto high = __builtin_shufflevector(a.data, b.data, ((I & S) != 0 ? L + I : I + S)...);
+  a = Batch<T>(low);
+  b = Batch<T>(high);
+}
+
+template <class T, Index S = 1>
+[[gnu::always_inline]] inline void transpose(Batch<T> (&rows)[kLanes<T>]) {
+  if constexpr (S < kLanes<T>) {
+#pragma GCC unroll 16
+    for (Index i = 0; i < kLanes<T>; ++i)
+      if ((i & S) == 0) exchange<T, S>(rows[i], rows[i + S], AllLanes<T>{});
+    transpose<T, 2 * S>(rows);
+  }
+}
+
+/// P neighbouring outputs, those of one position in one vector.
+template <class T, Index P, Index kStep>
+void lanes_tile(const ConvGather<T>& g, const T* x, T* out) {
+  constexpr Index L = kLanes<T>;
+  const T* weight = g.weight;
+  Batch<T> acc[P];
+#pragma GCC unroll 16
+  for (Index p = 0; p < P; ++p) acc[p] = Batch<T>::load_aligned(g.bias);
+  for (Index c = 0; c < g.C; ++c, x += g.c_stride)
+    for (Index t = 0; t < g.taps; ++t, weight += L) {
+      const T* xt = x + g.shift[t];
+      const Batch<T> w = Batch<T>::load_aligned(weight);
+#pragma GCC unroll 16
+      for (Index p = 0; p < P; ++p) acc[p] = xsimd::fma(w, Batch<T>(xt[p * kStep]), acc[p]);
+    }
+  if constexpr (P == L) {
+    transpose(acc);
+#pragma GCC unroll 16
+    for (Index o = 0; o < L; ++o) {
+      if (o >= g.outputs) break;
+      T* to = out + o * g.out_stride;
+      if (g.add) acc[o] += Batch<T>::load_unaligned(to);
+      acc[o].store_unaligned(to);
+    }
+  } else {
+    alignas(Batch<T>) T lanes[P * L];
+    for (Index p = 0; p < P; ++p) acc[p].store_aligned(lanes + p * L);
+    for (Index o = 0; o < g.outputs; ++o)
+      for (Index p = 0; p < P; ++p) {
+        T& to = out[o * g.out_stride + p];
+        to = (g.add ? to : T(0)) + lanes[p * L + o];
+      }
+  }
+}
+
+/// Tiles of P outputs while they fit, then of half as many, down to one.
+template <class T, Index kStep, Index P = kLanes<T>>
+void lanes_row(const ConvGather<T>& g, Index n, const T* x, T* out) {
+  for (; n >= P; n -= P, x += P * kStep, out += P) lanes_tile<T, P, kStep>(g, x, out);
+  if constexpr (P > 1) lanes_row<T, kStep, P / 2>(g, n, x, out);
+}
+
+template <class T>
+void gather_in_lanes(const ConvGather<T>& g, Index n, Index step) {
+  (step == 1 ? lanes_row<T, 1> : lanes_row<T, 2>)(g, n, g.x, g.out);
 }
 
 /// Keeps a vector that several multiply-adds share in its register: compilers fold the load into
@@ -205,6 +270,7 @@ const ConvKernels<T>& conv_kernels() {
       .column_group = {0, column_group(1), column_group(2), column_group(3), column_group(4),
                        column_group(5), column_group(6), column_group(7), column_group(8)},
       .gather = gather<T>,
+      .gather_in_lanes = gather_in_lanes<T>,
       .weight_gradient = weight_gradient<T>,
       .sum_lanes = sum_lanes<T>,
       .sum = sum<T>,

@@ -17,6 +17,22 @@ struct ConvSegment {
   Index vectors;         ///< number of vectors
 };
 
+/// A sum over input channels and taps for some outputs:
+///   sum[o][p] = bias[o] + sum_{c,t} weight[c][t][o] x[c * c_stride + shift[t] + p]
+template <class T>
+struct ConvGather {
+  const T* x;
+  Index c_stride, C;
+  const Index* shift;
+  Index taps;
+  const T* weight;  ///< [C taps block]
+  const T* bias;    ///< [block]
+  bool add;         ///< to what is there, instead of overwriting it
+  Index outputs;    ///< at most block
+  T* out;           ///< sum[o][p] goes to out[o * out_stride + p]
+  Index out_stride;
+};
+
 /// Inner loops of the convolutions for one instruction set. They know nothing of strides, padding
 /// or rank: the caller lays the input out such that position p of an output reads position p +
 /// shift of a slab.
@@ -25,10 +41,13 @@ struct ConvKernels {
   Index lanes;                         ///< elements per vector
   Index column_group[kConvBlock + 1];  ///< weight columns per register tile, by number of outputs
 
-  /// out[o][p] = sum_{c,t} weight[c][t][o] x[c * c_stride + shift[t] + p] for 0 <= p < n.
-  /// Reads x and writes out up to n rounded up to whole vectors; weight is [C taps kConvBlock].
-  void (*gather)(const T* x, Index c_stride, Index C, const Index* shift, Index taps,
-                 const T* weight, Index outputs, Index n, T* out, Index out_stride);
+  /// Positions 0 <= p < n, in blocks of kConvBlock outputs. Reads x and writes out up to n rounded
+  /// up to whole vectors.
+  void (*gather)(const ConvGather<T>& gather, Index n);
+
+  /// Positions 0, step, 2 step, .. of which there are n, which go to out[o * out_stride + p / step],
+  /// in blocks of `lanes` outputs, which stand in the lanes. step is 1 or 2. Touches nothing else.
+  void (*gather_in_lanes)(const ConvGather<T>& gather, Index n, Index step);
 
   /// partial[q][o][lane] += sum_positions g[o * g_stride + plane + position]
   ///   x[columns[q] + position], for the segments one after another; q < groups *

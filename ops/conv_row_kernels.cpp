@@ -51,9 +51,24 @@ void split_row(const T* src, T* even, T* odd, Index n) {
   split_vector<T, Bytes>(src + 2 * i, even + i, odd + i, kIndices);
 }
 
+/// pad_row with one phase: dst[i] = src[i - left] where there is such an element, else 0.
+template <class T>
+void shift_row(const T* src, Index n, Index left, T* dst, Index count) {
+  for (Index i = 0; i < left; ++i) dst[i] = T(0);
+  if (left < 0) {
+    src -= left;
+    n += left;
+    left = 0;
+  }
+  const Index copied = n < count - left ? n : count - left;
+  copy_row(src, dst + left, copied);
+  for (Index i = left + copied; i < count; ++i) dst[i] = T(0);
+}
+
 template <class T>
 void pad_row(const T* src, Index n, Index left, Index phases, T* dst, Index phase_stride,
              Index count) {
+  if (phases == 1 && left < count && n + left > 0) return shift_row(src, n, left, dst, count);
   if (n == 0) {
     for (Index f = 0; f < phases; ++f)
       for (Index i = 0; i < count; ++i) dst[f * phase_stride + i] = T(0);

@@ -97,6 +97,15 @@ Axes with_mixed_rows(Axes axes, Index B) {
   return axes;
 }
 
+Axes with_whole_columns(Axes axes, const Geometry& g) {
+  Axis& column = axes[2];
+  column.reads = 1;
+  column.most = (g.y_size[2] - 1) * g.stride[2] + 1;  // positions from the first output to the last
+  column.max_shift = g.kernel[2] - 1;
+  for (AxisTap& t : column.phases[0].taps) t = {t.tap, 0, t.tap};
+  return axes;
+}
+
 Index row_pitch(const Axis& axis) {
   const auto input = [&](Index i, Index phase) { return i * axis.reads + phase - axis.left; };
   const Index end = axis.most + axis.max_shift;
@@ -178,14 +187,15 @@ void Slab<T>::load_plane(Index plane) {
   const Axis &depth = axes_[0], &row = axes_[1], &column = axes_[2];
   const Index z = plane - depth.left, plane_count = row.size * column.size;
   // Planes lie too far apart for the processor to guess the next one, and their rows are soon over.
+  // What the next depth needs arrives while this one is computed.
   const auto plane_of = [&](Index c, Index at) -> const T* {
     const bool inside = c < channel_ + C_ && at >= 0 && at < depth.size;
     return inside ? rows_.input() + (c * depth.size + at) * plane_count : nullptr;
   };
   T* dst = buffer_.data() + plane % planes_ * plane_stride_;
   for (Index c = channel_; c < channel_ + C_; ++c, dst += c_stride_) {
-    const T *src = plane_of(c, z), *next = plane_of(c + 1, z);
-    if (next == nullptr) next = plane_of(channel_, z + 1);
+    const T *src = plane_of(c, z), *next = plane_of(c, z + 1);
+    if (next == nullptr) next = plane_of(c + 1, z);
     if (row.mixed)
       load_mixed_rows(src, next, c, dst);
     else

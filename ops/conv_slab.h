@@ -60,6 +60,9 @@ Axes adjoint_axes(const Geometry& g);
 /// B  images; mixing the kernels has to pay for itself
 Axes with_mixed_rows(Axes axes, Index B);
 
+/// The same with unsplit columns, for outputs that read every `stride` elements of a row.
+Axes with_whole_columns(Axes axes, const Geometry& g);
+
 /// Smallest row pitch: the zeros behind a row may serve as those in front of the next.
 Index row_pitch(const Axis& columns);
 
@@ -116,7 +119,7 @@ class Slab {
  private:
   void load_plane(Index plane);
   /// src   the channel's plane, nullptr outside the image
-  /// next  the plane that is loaded after it, or nullptr
+  /// next  a plane that is loaded later, or nullptr
   void load_rows(const T* src, const T* next, Index channel, T* dst);
   void load_mixed_rows(const T* src, const T* next, Index channel, T* dst);
 
