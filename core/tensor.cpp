@@ -34,10 +34,7 @@ class BlockPool {
  public:
   void* take(std::size_t asked) {
     const std::size_t bytes = rounded(asked);
-    const std::size_t now = used_.fetch_add(bytes) + bytes;
-    std::size_t peak = peak_.load();
-    while (now > peak && !peak_.compare_exchange_weak(peak, now)) {
-    }
+    raise_peak(used_.fetch_add(bytes) + bytes);
     void* block = kPooled && bytes >= kSmallest ? from_range(bytes) : nullptr;
     if (block == nullptr) block = std::aligned_alloc(kAlignment, bytes);
     if (block == nullptr) {
@@ -79,6 +76,15 @@ class BlockPool {
   std::size_t used() const { return used_; }
   std::size_t peak() const { return peak_; }
   void reset_peak() { peak_ = used_.load(); }
+  void raise_peak(std::size_t bytes) {
+    std::size_t peak = peak_.load();
+    while (bytes > peak && !peak_.compare_exchange_weak(peak, bytes)) {
+    }
+  }
+  std::size_t open() {
+    const std::lock_guard lock(mutex_);
+    return open_;
+  }
 
  private:
   using Gaps = std::map<std::size_t, std::size_t>;  // offset to size
@@ -162,6 +168,8 @@ BlockPool& pool() {
 std::size_t tensor_bytes() { return pool().used(); }
 std::size_t peak_tensor_bytes() { return pool().peak(); }
 void reset_peak_tensor_bytes() { pool().reset_peak(); }
+void raise_peak_tensor_bytes(std::size_t bytes) { pool().raise_peak(bytes); }
+std::size_t reserved_tensor_bytes() { return pool().open(); }
 void release_tensor_cache() { pool().release(); }
 
 template <class T>

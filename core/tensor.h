@@ -83,6 +83,11 @@ std::size_t tensor_bytes();
 std::size_t peak_tensor_bytes();
 /// Starts `peak_tensor_bytes()` again from what there is now.
 void reset_peak_tensor_bytes();
+/// Makes the peak at least `bytes`: for who resets it in between.
+void raise_peak_tensor_bytes(std::size_t bytes);
+/// Bytes the system has ever been asked for to hold tensors of 64 KiB and more. Their buffers are
+/// kept and given out again, so this stays as it is when work is repeated.
+std::size_t reserved_tensor_bytes();
 /// Returns the buffers kept for reuse to the system.
 void release_tensor_cache();
 

@@ -86,6 +86,33 @@ void check(const ModelConfig& config, const SceneInput& scene) {
                       std::to_string(scene.z_high) + ", expected a positive span");
 }
 
+/// Notes the most tensor bytes of one part after the other, beyond those at its construction.
+class MemoryMeter {
+ public:
+  explicit MemoryMeter(std::vector<PartMemory>* parts)
+      : parts_(parts), before_(tensor_bytes()), most_(peak_tensor_bytes()) {
+    if (parts_ == nullptr) return;
+    parts_->clear();
+    reset_peak_tensor_bytes();
+  }
+  void end(const std::string& part) {
+    if (parts_ == nullptr) return;
+    const std::size_t peak = peak_tensor_bytes();
+    parts_->push_back({part, static_cast<double>(peak) - static_cast<double>(before_)});
+    most_ = std::max(most_, peak);
+    reset_peak_tensor_bytes();
+  }
+  ~MemoryMeter() {
+    if (parts_ != nullptr) raise_peak_tensor_bytes(most_);
+  }
+  MemoryMeter(const MemoryMeter&) = delete;
+  MemoryMeter& operator=(const MemoryMeter&) = delete;
+
+ private:
+  std::vector<PartMemory>* parts_;
+  std::size_t before_, most_;
+};
+
 }  // namespace
 
 template <class T>
@@ -146,7 +173,8 @@ const ParameterSet<T>& BasicModel<T>::parameters() const {
 
 template <class T>
 std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
-                                                     const std::function<void()>& poll) const {
+                                                     const std::function<void()>& poll,
+                                                     std::vector<PartMemory>* memory) const {
   const ModelConfig& config = parts_->config;
   check(config, scene);
   const auto polled = [&poll] {
@@ -157,6 +185,7 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
               W = scene.sources[0].rgb.dim(2);
   const std::array<double, 3> intervals = hypothesis_intervals(config, scene);
   const double z_mid = 0.5 * (scene.z_low + scene.z_high);
+  MemoryMeter meter(memory);
 
   // Views pass through the 2D nets one after the other: that takes a third of the memory.
   std::array<std::vector<BasicVar<T>>, 3> levels;
@@ -169,6 +198,7 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
   for (std::size_t s = 0; s < 3; ++s) pyramid[s] = concat(std::exchange(levels[s], {}), 0);
   const BasicVar<T> images(stacked<T>(scene.sources, &View::rgb));
   const BasicVar<T> valid(stacked<T>(scene.sources, &View::valid));
+  meter.end("features");
 
   std::array<StageOutput<T>, 3> out;
   for (std::size_t s = 0; s < 3; ++s) {
@@ -207,10 +237,14 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
     }
 
     // 3. Heights and confidence.
-    const auto distribution = height_distribution(concat(logits, 0), stage.hypotheses);
-    stage.probability = distribution.probability;
-    stage.height = distribution.height;
-    stage.confidence = distribution.confidence;
+    {
+      const BasicVar<T> all_logits = concat(std::exchange(logits, {}), 0);
+      const auto distribution = height_distribution(all_logits, stage.hypotheses);
+      stage.probability = distribution.probability;
+      stage.height = distribution.height;
+      stage.confidence = distribution.confidence;
+    }
+    meter.end("volumes " + std::to_string(s + 1));
 
     // 4. One surfel per pixel.
     const BasicVar<T> image = stride == 1 ? images : area_downsample(images, stride);
@@ -225,33 +259,58 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
     }
     std::vector<PixelGeometry> geometry;
     for (const View& v : scene.sources) geometry.push_back(pixel_geometry(v, z_mid, stride));
-    stage.surfels = surfels_from_maps(concat(raw, 0), stage.height, image.value(), stage.confidence,
+    const BasicVar<T> all_raw = concat(std::exchange(raw, {}), 0);
+    stage.surfels = surfels_from_maps(all_raw, stage.height, image.value(), stage.confidence,
                                       geometry, config.rotation == "camera+residual");
+    meter.end("heads " + std::to_string(s + 1));
   }
   return out;
 }
 
-double forward_bytes(const ModelConfig& config, Index views, Index height, Index width) {
-  const double N = static_cast<double>(views), v = static_cast<double>(config.volume_base);
-  constexpr double kSurfel = 26;  // packed, and once more as attributes
-  constexpr double kRaw = 20;     // the head's output of every view, and all of them joined
-  // floats per image pixel
-  double kept = N * (1.75 * static_cast<double>(config.base) + 3 + 1), most = 0;
+std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,
+                                       Index width) {
+  const double N = static_cast<double>(views), b = static_cast<double>(config.base),
+               v = static_cast<double>(config.volume_base),
+               pixels = static_cast<double>(height * width);
+  constexpr double kSurfel = 13, kRaw = 10;  // floats of a surfel, outputs of the head
+  constexpr double kScratch = 2e5;           // floats a thread's 3D convolution works in
+  std::vector<PartMemory> parts;
+  const auto add = [&](const std::string& part, double floats_per_pixel) {
+    parts.push_back({part, static_cast<double>(sizeof(float)) * floats_per_pixel * pixels});
+  };
+  // The last view's features are made beside those of the others: at full resolution a sum of two
+  // terms of 4 b channels, from three maps of b, b / 2 and b / 4 and what is kept of them.
+  add("features", (N - 1) * 1.75 * b + 10.75 * b + 3);
+  double kept = N * (1.75 * b + 3 + 1);  // features, images, validity
   for (std::size_t s = 0; s < 3; ++s) {
     const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);
     const double C = static_cast<double>(config.base * kStrides[s]);
     const double D = static_cast<double>(config.hypotheses[s]);
     const double w = static_cast<double>(config.head_width[s]);
-    kept += N * D * p;                                     // hypotheses
-    const double volume = D * p * std::max(C + v, 3 * v);  // entering, or leaving, the U-Net
-    const double head = p * (2 * (4 + C + D) + 3 * w);
-    const double logits = N * D * p;
-    most = std::max(most, kept + logits + volume);
-    most = std::max(most, kept + logits + N * p * D + head);
-    kept += N * p * (D + 2 + kSurfel);  // probability, height, confidence, surfels
-    most = std::max(most, kept + logits + N * p * kRaw);
+    const std::string stage = " " + std::to_string(s + 1);
+    kept += N * p * D;  // hypotheses
+    // One view's volume and what the first convolution makes of it, or the sum at the U-Net's end;
+    // then logits, their concatenation and the probabilities of all views.
+    const double scratch = std::min(kScratch * threads(), 0.25 * D * p * v * pixels) / pixels;
+    const double volume = N * D + D * std::max(C + v, 2.3 * v), distribution = 2 * N * D + 2 * N;
+    add("volumes" + stage, kept + std::max(p * volume + scratch, p * distribution));
+    kept += N * p * (D + 2);  // probability, height, confidence
+    // One view's input, once more in parts, and three layers of the head; then all raw attributes,
+    // packed surfels and their attributes.
+    const double images = s < 2 ? 3 * N : 0;
+    const double head = 2 * (4 + C + D) + 3 * w + kRaw * (N - 1),
+                 surfels = N * (kRaw + 2 * kSurfel);
+    add("heads" + stage, kept + p * (images + std::max(head, surfels)));
+    kept += p * N * kSurfel;
   }
-  return sizeof(float) * most * static_cast<double>(height) * static_cast<double>(width);
+  return parts;
+}
+
+double forward_bytes(const ModelConfig& config, Index views, Index height, Index width) {
+  double most = 0;
+  for (const PartMemory& part : forward_memory(config, views, height, width))
+    most = std::max(most, part.bytes);
+  return most;
 }
 
 template <class T>

@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <functional>
 #include <memory>
+#include <string>
 #include <vector>
 
 namespace satsurf::nn {
@@ -24,6 +25,13 @@ struct StageOutput {
   BasicVar<T> height;              ///< [N h w] expected height H_s, m in the local frame
   BasicVar<T> confidence;          ///< [N h w] max probability C_s
   splat::BasicSurfels<T> surfels;  ///< N*h*w pixel-aligned surfels; aux channel 0 is the confidence
+};
+
+/// Most bytes in tensors at one time during one part of a forward pass, its results and what earlier
+/// parts left behind included, the scene not.
+struct PartMemory {
+  std::string part;  ///< "features", "volumes 1", "heads 1", "volumes 2", ..
+  double bytes = 0;
 };
 
 /// The three-stage coarse-to-fine cascade.
@@ -43,9 +51,11 @@ class BasicModel {
 
   /// Heights, confidences and surfels of every stage, coarse to fine.
   /// poll    called between layers, may throw to stop
+  /// memory  takes what each part needed
   /// throws  ShapeError if views differ in size or are no multiple of `size_multiple`
   std::array<StageOutput<T>, 3> forward(const SceneInput& scene,
-                                        const std::function<void()>& poll = {}) const;
+                                        const std::function<void()>& poll = {},
+                                        std::vector<PartMemory>* memory = nullptr) const;
 
  private:
   struct Parts;
@@ -53,10 +63,13 @@ class BasicModel {
 };
 using Model = BasicModel<float>;
 
-/// Memory a forward pass without a tape takes, from the sizes of the volumes, heads and surfels.
+/// What `forward` takes without a tape, foreseen from the sizes of features, volumes, heads and
+/// surfels.
 /// height, width  of the views, image pixels
-/// returns        bytes of all tensors at the worst moment, its result included and the scene not,
-///                within a quarter
+/// returns        the parts in the order of the pass, each within a tenth
+std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,
+                                       Index width);
+/// The largest part.
 double forward_bytes(const ModelConfig& config, Index views, Index height, Index width);
 
 /// Renders surfels into a view at one of the stage strides.

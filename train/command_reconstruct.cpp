@@ -6,6 +6,7 @@
 #include "satsurf/rpc/read.h"
 #include "satsurf/splat/ply.h"
 #include "satsurf/train/commands.h"
+#include "satsurf/train/log.h"
 #include "satsurf/train/output_folder.h"
 #include "satsurf/train/preview.h"
 #include "satsurf/train/progress.h"
@@ -88,6 +89,20 @@ void print_plan(const ReconstructPlan& plan, const UserScene& user) {
               user.scene.views.size(), plan.window, plan.window);
   std::printf("memory        about %s; %s are free\n", memory_text(plan.memory_bytes).c_str(),
               memory_text(static_cast<double>(available_memory())).c_str());
+  for (const nn::PartMemory& part : plan.memory)
+    std::printf("  %-12s%s\n", part.part.c_str(), memory_text(part.bytes).c_str());
+}
+
+/// [{part, bytes, planned_bytes}], and the same for the log.
+nlohmann::ordered_json memory_by_part(const Reconstruction& made) {
+  auto list = nlohmann::ordered_json::array();
+  for (std::size_t i = 0; i < made.memory.size(); ++i) {
+    const nn::PartMemory &part = made.memory[i], &planned = made.planned_memory[i];
+    list.push_back({{"part", part.part}, {"bytes", part.bytes}, {"planned_bytes", planned.bytes}});
+    log_line(LogLevel::debug, "memory: " + part.part + " took " + memory_text(part.bytes) +
+                                  ", foreseen were " + memory_text(planned.bytes));
+  }
+  return list;
 }
 
 void write_pictures(const OutputFolder& folder, const Reconstruction& made, const Scene& scene,
@@ -277,6 +292,7 @@ void run_reconstruct(const ReconstructCommand& options) {
                       {"tiles", made.tiles},
                       {"camera_fit_max_px", made.camera_fit_max_px},
                       {"planned_memory_bytes", made.planned_memory_bytes},
+                      {"memory_by_part", memory_by_part(made)},
                       {"reconstruct_seconds", seconds}};
   record.save(folder / "run.json");
   folder.commit();

@@ -110,24 +110,29 @@ void plan_tiles(ReconstructPlan& plan, const Scene& scene, double z, Index asked
     }
 }
 
-/// What the program needs at most: while the network looks at the last window, or while the surface
-/// is rendered.
-double memory_of(const ReconstructPlan& plan, const nn::ModelConfig& model, const Scene& scene) {
+/// Fills in what the program needs at most: while the network looks at the last window, or while
+/// the surface is rendered.
+void plan_memory(ReconstructPlan& plan, const nn::ModelConfig& model, const Scene& scene) {
   constexpr double kProgram = 150e6;         // code, libraries and weights
   constexpr double kKept = 1.2;              // tensors, with freed ones that wait for reuse
   constexpr double kView = 4, kSurfel = 14;  // floats a pixel, floats a surfel
-  constexpr double kSplat = 45, kMaps = 24;  // floats a surfel, floats a cell, to render
+  constexpr double kSplat = 24, kMaps = 19;  // floats a surfel, floats a cell, to render
+  constexpr double kLists = 21;              // floats a surfel, beside the tensors
   const Index views = static_cast<Index>(scene.views.size());
   const double window = static_cast<double>(plan.window) * static_cast<double>(plan.window) *
                         static_cast<double>(views);
   double pixels = 0;
   for (const SceneView& v : scene.views) pixels += static_cast<double>(v.valid.count());
   const double cells = static_cast<double>(plan.height) * static_cast<double>(plan.width);
+  plan.memory = nn::forward_memory(model, views, plan.window, plan.window);
   const double network =
       nn::forward_bytes(model, views, plan.window, plan.window) +
       sizeof(float) * (kView * window + kSurfel * (pixels - std::min(pixels, window)));
   const double render = sizeof(float) * (kSplat * pixels + kMaps * cells);
-  return kProgram + kKept * (sizeof(float) * kView * pixels + std::max(network, render));
+  plan.memory.push_back({"surface", render});
+  plan.memory_bytes =
+      kProgram + kKept * (sizeof(float) * kView * pixels +
+                          std::max(network, render + sizeof(float) * kLists * pixels));
 }
 
 /// Rows of `t` ([P ...]) named by `keep`.
@@ -223,6 +228,13 @@ class Sieve {
   Index H_, W_;
 };
 
+/// Notes the larger of what there is and what one more tile took.
+void keep_most(std::vector<nn::PartMemory>& most, const std::vector<nn::PartMemory>& tile) {
+  if (most.empty()) most = tile;
+  for (std::size_t i = 0; i < most.size(); ++i)
+    most[i].bytes = std::max(most[i].bytes, tile[i].bytes);
+}
+
 /// Largest residual of all fits of a window, px. Ground distances count by the size of a pixel.
 double worst_fit(const nn::SceneInput& input, double z) {
   double worst = 0;
@@ -290,7 +302,7 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const Scene& s
   plan.north = std::ceil((ground.y1 + scene.frame.northing0) / step) * step - scene.frame.northing0;
   plan.width = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - plan.east) / step)));
   plan.height = std::max<Index>(1, static_cast<Index>(std::ceil((plan.north - ground.y0) / step)));
-  plan.memory_bytes = memory_of(plan, model, scene);
+  plan_memory(plan, model, scene);
   return plan;
 }
 
@@ -319,7 +331,9 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
         make_crop(scene, sources, std::nullopt, 0.5 * (tile.x0 + tile.x1),
                   0.5 * (tile.y0 + tile.y1), z, plan.window, scene.z_low, scene.z_high, false);
     out.camera_fit_max_px = std::max(out.camera_fit_max_px, worst_fit(crop.input, z));
-    const auto stages = model.forward(crop.input, poll);
+    std::vector<nn::PartMemory> memory;
+    const auto stages = model.forward(crop.input, poll, &memory);
+    keep_most(out.memory, memory);
     poll();
     parts.push_back(
         selected(stages[2].surfels,
@@ -328,10 +342,16 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
 
   out.tiles = static_cast<Index>(plan.tiles.size());
   out.planned_memory_bytes = plan.memory_bytes;
+  out.planned_memory = plan.memory;
   out.surfels = joined(parts);
   report("surface", 0);
+  const double before = static_cast<double>(tensor_bytes());
+  const std::size_t earlier = peak_tensor_bytes();
+  reset_peak_tensor_bytes();
   const auto render =
       nn::render_view(out.surfels, nadir_camera(plan.east, plan.north, plan.step), H, W, 1);
+  out.memory.push_back({"surface", static_cast<double>(peak_tensor_bytes()) - before});
+  raise_peak_tensor_bytes(earlier);
   report("surface", 1);
   out.dsm = {surface_heights(render), plan.east, plan.north, plan.step};
   out.confidence = Tensor({H, W}, std::nanf(""));

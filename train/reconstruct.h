@@ -30,7 +30,9 @@ struct Reconstruction {
   /// Largest distance between a camera and the quadratics that stood in for it, px. Above 0.1 it
   /// begins to show in the heights.
   double camera_fit_max_px = 0;
-  double planned_memory_bytes = 0;  ///< see ReconstructPlan
+  double planned_memory_bytes = 0;             ///< see ReconstructPlan
+  std::vector<nn::PartMemory> planned_memory;  ///< alike
+  std::vector<nn::PartMemory> memory;          ///< the same parts, measured
 };
 
 /// A rectangle of ground, local m.
@@ -48,7 +50,9 @@ struct ReconstructPlan {
   Index height = 0, width = 0;  ///< its cells
   Index window = 0;             ///< side of the network's windows, px
   std::vector<Ground> tiles;    ///< what each window answers for
-  double memory_bytes = 0;      ///< of the whole program, within a quarter
+  double memory_bytes = 0;      ///< of the whole program, within a tenth
+  /// Tensors of the network's parts, then of "surface", each within a tenth.
+  std::vector<nn::PartMemory> memory;
 };
 /// Sizes and memory of a reconstruction, before it begins.
 /// throws  Error if fewer than two views see a common ground

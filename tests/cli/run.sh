@@ -107,6 +107,7 @@ holds "and by which program" grep -qE "program +satsurf [0-9.]+ \(.+\)" stdout
 succeeds "dry run" "$satsurf" reconstruct "${images[@]}" --dry-run --out out --weights $weights --quiet
 holds "it says what would be done" grep -qE "surface +[0-9]+ x [0-9]+ cells" stdout
 holds "it says what that takes" grep -qE "memory +about [0-9.]+ [MG]B" stdout
+holds "and what each part of it takes" grep -qE "^  volumes 3 +[0-9.]+ [MG]B" stdout
 holds "it writes nothing" test ! -e out
 succeeds "reconstruct" "$satsurf" reconstruct "${images[@]}" --out out --weights $weights --quiet
 holds "it records how well the cameras were fitted" grep -qE '"camera_fit_max_px": [0-9]' out/run.json
