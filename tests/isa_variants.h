@@ -7,6 +7,7 @@
 #include "satsurf/ops/pointwise_kernels.h"
 #include "satsurf/ops/resize_kernels.h"
 #include "satsurf/ops/softmax_kernels.h"
+#include "satsurf/ops/ssim_kernels.h"
 
 #include <vector>
 
@@ -95,6 +96,12 @@ template <class T>
 auto layout_variants() {
   return variants<LayoutKernels<T>>(isa_baseline::layout_kernels<T>, isa_avx2::layout_kernels<T>,
                                     isa_avx512::layout_kernels<T>);
+}
+
+template <class T>
+auto ssim_variants() {
+  return variants<SsimKernels<T>>(isa_baseline::ssim_kernels<T>, isa_avx2::ssim_kernels<T>,
+                                  isa_avx512::ssim_kernels<T>);
 }
 
 }  // namespace satsurf::test

@@ -89,6 +89,15 @@ struct EvaluateDataOptions {
 /// Scores a network on a data set.
 void run_evaluate_data(const EvaluateDataOptions& options);
 
+/// What `evaluate --image` is asked.
+struct EvaluateImageOptions {
+  std::filesystem::path image, reference;
+  std::filesystem::path mask, lpips_weights, json;  ///< may be empty
+  bool overwrite = false;
+};
+/// Scores one picture against another.
+void run_evaluate_image(const EvaluateImageOptions& options);
+
 /// What `render` is asked.
 struct RenderCommand {
   std::filesystem::path surfels, image, out;  ///< without an image: from straight above

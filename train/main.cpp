@@ -225,9 +225,11 @@ void add_reconstruct(CLI::App& app, Common& common, std::function<void()>& run) 
 void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
   static EvaluateDsmOptions d;
   static EvaluateDataOptions s;
+  static EvaluateImageOptions p;
   static bool keep_water = false;
   CLI::App* c = add_command(app, common, "evaluate",
-                            "score one surface, or a network on a data set, against the truth");
+                            "score one surface, or a network on a data set, against the truth, or "
+                            "one picture against another");
   CLI::Option* dsm =
       c->add_option("--dsm", d.dsm, "surface to score")->type_name("FILE")->group("One surface");
   CLI::Option* truth =
@@ -262,14 +264,40 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
   c->add_flag("--keep-water", keep_water, "score cells of class 9 (water) as well")
       ->group("A data set");
   c->add_option("--csv", s.csv, "one row per scene")->type_name("FILE")->group("A data set");
+  CLI::Option* image = c->add_option("--image", p.image,
+                                     "picture to score: PNG, JPEG or TIFF; 8-bit values are "
+                                     "divided by 255, 16-bit ones by 65535, then all clipped to "
+                                     "[0, 1]. Equal pictures: PSNR is infinite, in --json null "
+                                     "with psnr_infinite true")
+                           ->type_name("FILE")
+                           ->group("One picture")
+                           ->excludes(dsm)
+                           ->excludes(data);
+  CLI::Option* reference = c->add_option("--reference", p.reference, "picture it should be")
+                               ->type_name("FILE")
+                               ->group("One picture");
+  c->add_option("--mask", p.mask, "picture of their size, 0 where a pixel does not count")
+      ->type_name("FILE")
+      ->group("One picture");
+  c->add_option("--lpips-weights", p.lpips_weights,
+                "LPIPS v0.1 (alex, squeeze or vgg) as safetensors of its state_dict; no LPIPS "
+                "without")
+      ->type_name("FILE")
+      ->group("One picture");
   c->add_option("--register", d.registration, "what is taken out first: none, z or xyz")
       ->type_name("HOW")
       ->capture_default_str();
   c->add_option("--json", d.json, "all numbers and where they came from")->type_name("FILE");
   c->add_flag("--overwrite", d.overwrite, "replace files that exist");
-  c->callback([&, dsm, truth, data] {
+  c->callback([&, dsm, truth, data, image, reference] {
+    if (image->count() > 0) {
+      if (reference->count() == 0) throw CLI::RequiredError("--reference");
+      p.json = d.json, p.overwrite = d.overwrite;
+      run = [] { run_evaluate_image(p); };
+      return;
+    }
     if (data->count() == 0 && (dsm->count() == 0 || truth->count() == 0))
-      throw CLI::RequiredError("--dsm and --truth, or --data");
+      throw CLI::RequiredError("--dsm and --truth, --data, or --image and --reference");
     s.registration = d.registration, s.json = d.json, s.mask_water = !keep_water,
     s.overwrite = d.overwrite;
     run = [] { s.data.empty() ? run_evaluate_dsm(d) : run_evaluate_data(s); };

@@ -4,6 +4,7 @@
 #   run.sh PROGRAM
 set -uo pipefail
 satsurf=$(realpath "$1")
+shared=${SATSURF_DATA:-$(realpath "$(dirname "$0")")/../../../shared/data} # published LPIPS weights, if there
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 cd "$work" || exit 1
@@ -136,6 +137,35 @@ for read in $weights $truth data/Track3-RGB/SIM_002_004_RGB.tif; do
   holds "it records that it read $read" grep -qF "\"path\": \"$read\"" all.json
 done
 holds "one row per scene, a heading and the mean" test "$(wc -l <all.csv)" -eq 4
+pictures=(--image out/views/SIM_001_001_RGB_render.png --reference out/views/SIM_001_001_RGB_source.png)
+succeeds "evaluate a picture" "$satsurf" evaluate "${pictures[@]}" --json picture.json
+holds "it prints the similarity" grep -qE "^SSIM +0\.[0-9]{5}$" stdout
+holds "it says why there is no LPIPS" grep -qE "^LPIPS +- +no --lpips-weights given$" stdout
+holds "it records the scores at the top" grep -qE '^  "(psnr|ssim|ssim_conv)": -?[0-9.e-]+,$' picture.json
+holds "LPIPS is null" grep -qE '^  "lpips": null,$' picture.json
+for key in psnr_infinite lpips_backbone version isa config; do
+  holds "the record has $key" grep -q "^  \"$key\": " picture.json
+done
+for read in out/views/SIM_001_001_RGB_render.png out/views/SIM_001_001_RGB_source.png; do
+  holds "it records that it read $read" grep -qF "\"path\": \"$read\"" picture.json
+done
+succeeds "evaluate a picture against itself" "$satsurf" evaluate --image out/height.png --reference out/height.png --json same.json
+holds "PSNR is infinite" grep -qE "^PSNR +infinite" stdout
+holds "which JSON says with null" grep -qE '^  "psnr": null,$' same.json
+holds "and true" grep -qE '^  "psnr_infinite": true,$' same.json
+holds "similarity is 1" grep -qE '^  "ssim": 1.0,$' same.json
+succeeds "evaluate under a mask" "$satsurf" evaluate "${pictures[@]}" --mask out/views/SIM_001_001_RGB_source.png
+if [ -d "$shared/lpips" ]; then
+  for backbone in alex squeeze; do
+    succeeds "LPIPS ($backbone)" "$satsurf" evaluate --image "$shared/lpips/ex_p0.png" \
+      --reference "$shared/lpips/ex_ref.png" --lpips-weights "$shared/lpips/lpips_$backbone.safetensors" --json lpips.json --overwrite
+    holds "its name is told" grep -qE "^LPIPS +0\.7[0-9]{4} $backbone$" stdout
+    holds "and recorded" grep -qE "^  \"lpips_backbone\": \"$backbone\",$" lpips.json
+    holds "with the published value" grep -qE '^  "lpips": 0\.7(110|111|218|219)[0-9]*,$' lpips.json
+  done
+else
+  echo "SKIPPED: no LPIPS weights at $shared/lpips (set SATSURF_DATA)"
+fi
 succeeds "render from above" "$satsurf" render --surfels out/surfels.ply --nadir --out above.png
 succeeds "render heights" "$satsurf" render --surfels out/surfels.ply --nadir --out above.tif
 succeeds "render a view" "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --out view.tif
@@ -182,6 +212,9 @@ refuses "unknown preset" 2 "huge.*base8" "$satsurf" train --data data --out no -
 refuses "crop that does not fit" 2 "crop" "$satsurf" train --data data --out no --preset tiny --crop 33
 refuses "heights the wrong way round" 2 "height-range" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 50 10
 refuses "unknown registration" 2 "xy.*none, z or xyz" "$satsurf" evaluate --dsm $truth --truth $truth --register xy
+refuses "a picture without a reference" 2 "--reference" "$satsurf" evaluate --image out/height.png
+refuses "a picture and a surface" 2 "--image excludes --dsm|--dsm excludes --image" \
+  "$satsurf" evaluate --image out/height.png --reference out/height.png --dsm $truth --truth $truth
 refuses "no output folder" 2 "--out" "$satsurf" reconstruct "${images[@]}" --weights $weights
 
 refuses "a resolution that is no number" 2 "resolution.*nan" "$satsurf" reconstruct "${images[@]}" --out no --resolution nan
@@ -233,6 +266,18 @@ refuses "existing table" 1 "--csv: all.csv exists; use --overwrite" scores --dat
 refuses "scores into the truth" 1 "--json: $truth is an input" scores "${scored[@]}" --json $truth --overwrite
 refuses "scores into the weights" 1 "--csv: $weights is an input" scores --data data --weights $weights --csv $weights --overwrite
 refuses "scores into a folder" 1 "--json: out is a folder" scores "${scored[@]}" --json out --overwrite
+refuses "existing picture scores" 1 "--json: picture.json exists; use --overwrite" scores "${pictures[@]}" --json picture.json
+refuses "picture scores into the reference" 1 "--json: out/views/SIM_001_001_RGB_source.png is an input" \
+  scores "${pictures[@]}" --json out/views/SIM_001_001_RGB_source.png --overwrite
+refuses "a picture that is missing" 1 "gone.png: no such file" scores --image gone.png --reference out/height.png
+refuses "a picture that is none" 1 "text.tif: .*wanted a PNG, JPEG or TIFF" scores --image out/height.png --reference text.tif
+head -c 1000 out/height.png >short.png
+refuses "a truncated picture" 1 "short.png: .*wanted a PNG, JPEG or TIFF" scores --image short.png --reference out/height.png
+refuses "pictures of two sizes" 1 "height.png and .*source.png: [0-9]+ x [0-9]+ px in colour and [0-9]+ x [0-9]+ px.*one size" \
+  scores --image out/height.png --reference out/views/SIM_001_001_RGB_source.png
+refuses "a mask of another size" 1 "out/height.png: .*wanted 96 x 96 px" scores "${pictures[@]}" --mask out/height.png
+refuses "a network's weights for LPIPS" 1 "$weights: no net.slice1.0.weight" scores "${pictures[@]}" --lpips-weights $weights
+refuses "no weights for LPIPS" 1 "gone.safetensors" scores "${pictures[@]}" --lpips-weights gone.safetensors
 refuses "two results in one file" 1 "out/../both: named for two" scores "${scored[@]}" --error-map out/../both --json both
 refuses "an error map where no file can be" 1 "--error-map: text.txt/e.png cannot be written" \
   scores "${scored[@]}" --error-map text.txt/e.png
