@@ -3,23 +3,26 @@
 
 #include "satsurf/core/parallel.h"
 
+#include <algorithm>
 #include <array>
+#include <string>
 
 namespace satsurf {
 namespace {
 
 constexpr Index kGrain = 1 << 14;
 
-template <class T>
-double ordered_sum(const BasicTensor<T>& x) {
-  return ordered_reduce(x.count(), kGrain, 0.0, [&](Index begin, Index end) {
+/// Sum of term(i) over [0, n).
+template <class Term>
+double ordered_sum(Index n, const Term& term) {
+  return ordered_reduce(n, kGrain, 0.0, [&](Index begin, Index end) {
     constexpr Index kSums = 8;  // independent chains: one alone waits for every addition
     std::array<double, kSums> s{};
     Index i = begin;
     for (; i + kSums <= end; i += kSums)
       for (Index k = 0; k < kSums; ++k)
-        s[static_cast<std::size_t>(k)] += static_cast<double>(x[i + k]);
-    for (; i < end; ++i) s[0] += static_cast<double>(x[i]);
+        s[static_cast<std::size_t>(k)] += static_cast<double>(term(i + k));
+    for (; i < end; ++i) s[0] += static_cast<double>(term(i));
     return ((s[0] + s[4]) + (s[1] + s[5])) + ((s[2] + s[6]) + (s[3] + s[7]));
   });
 }
@@ -27,7 +30,9 @@ double ordered_sum(const BasicTensor<T>& x) {
 /// `factor` times the sum.
 template <class T>
 BasicVar<T> scaled_sum(const char* op, const BasicVar<T>& x, double factor) {
-  const T total = static_cast<T>(factor * ordered_sum(x.value()));
+  const T* from = x.value().data();
+  const T total =
+      static_cast<T>(factor * ordered_sum(x.count(), [from](Index i) { return from[i]; }));
   return BasicVar<T>::record(op, BasicTensor<T>::scalar(total), {x}, [factor](Node<T>& n) {
     const T g = static_cast<T>(static_cast<double>(n.grad[0]) * factor);
     if (T* dx = n.grad_in(0))
@@ -35,6 +40,13 @@ BasicVar<T> scaled_sum(const char* op, const BasicVar<T>& x, double factor) {
         for (Index i = begin; i < end; ++i) dx[i] += g;
       });
   });
+}
+
+template <class T>
+void check_shape(const char* name, const BasicTensor<T>& t, const Shape& x) {
+  if (t.shape() != x)
+    throw ShapeError(std::string("masked_mean: ") + name + " has shape " + t.shape().str() +
+                     ", expected " + x.str() + " from x");
 }
 
 }  // namespace
@@ -51,9 +63,36 @@ BasicVar<T> mean(const BasicVar<T>& x) {
   return scaled_sum("mean", x, 1.0 / static_cast<double>(x.count()));
 }
 
+template <class T>
+BasicVar<T> masked_mean(const BasicVar<T>& x, const BasicTensor<T>& mask,
+                        const BasicTensor<T>& valid) {
+  check_shape("mask", mask, x.shape());
+  if (!valid.empty()) check_shape("valid", valid, x.shape());
+  const T *from = x.value().data(), *m = mask.data(), *counts = valid.data();
+  const auto n = static_cast<double>(x.count());
+  const double total =
+      ordered_sum(x.count(), [=](Index i) { return m[i] != T(0) ? m[i] * from[i] : T(0); });
+  const double number = valid.empty() ? n : ordered_sum(x.count(), [=](Index i) {
+    return counts[i] != T(0) ? 1.0 : 0.0;
+  });
+  const double factor = 1.0 / std::max(number, 1.0);
+  const auto out = BasicTensor<T>::scalar(static_cast<T>(factor * total));
+  return BasicVar<T>::record("masked_mean", out, {x}, [mask, factor](Node<T>& node) {
+    const T g = static_cast<T>(static_cast<double>(node.grad[0]) * factor);
+    if (T* dx = node.grad_in(0))
+      for_range(mask.count(), kGrain, [=, &mask](Index begin, Index end) {
+        for (Index i = begin; i < end; ++i) dx[i] += g * mask[i];
+      });
+  });
+}
+
 template BasicVar<float> sum(const BasicVar<float>&);
 template BasicVar<double> sum(const BasicVar<double>&);
 template BasicVar<float> mean(const BasicVar<float>&);
 template BasicVar<double> mean(const BasicVar<double>&);
+template BasicVar<float> masked_mean(const BasicVar<float>&, const BasicTensor<float>&,
+                                     const BasicTensor<float>&);
+template BasicVar<double> masked_mean(const BasicVar<double>&, const BasicTensor<double>&,
+                                      const BasicTensor<double>&);
 
 }  // namespace satsurf

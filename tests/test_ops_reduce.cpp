@@ -35,6 +35,29 @@ TEST_CASE("reduction gradients") {
   const auto x = normal({2, 3, 5}, 1);
   CHECK(gradcheck([](const test::DoubleVars& v) { return sum(v[0]); }, {x}));
   CHECK(gradcheck([](const test::DoubleVars& v) { return mean(v[0]); }, {x}));
+  BasicTensor<double> mask({2, 3, 5}), valid({2, 3, 5});
+  for (Index i = 0; i < x.count(); ++i) {
+    mask[i] = i % 3 == 0 ? 1 : 0;
+    valid[i] = i % 6 != 5 ? 1 : 0;
+  }
+  CHECK(gradcheck([&](const test::DoubleVars& v) { return masked_mean(v[0], mask, valid); }, {x}));
+  CHECK(gradcheck([&](const test::DoubleVars& v) { return masked_mean(v[0], mask, {}); }, {x}));
+}
+
+TEST_CASE("masked means divide by all valid elements") {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const BasicVar<double> x(BasicTensor<double>::from({5}, {1, 2, nan, 4, 8}));
+  const auto mask = BasicTensor<double>::from({5}, {1, 0, 0, 1, 0.5}),
+             valid = BasicTensor<double>::from({5}, {1, 1, 0, 1, 1});
+  CHECK(masked_mean(x, mask, valid).value().item() == 9.0 / 4);
+  CHECK(masked_mean(x, mask, {}).value().item() == 9.0 / 5);
+  const BasicTensor<double> none({5}, 0.0);
+  CHECK(masked_mean(x, none, none).value().item() == 0);
+  CHECK(masked_mean(x, none, valid).value().item() == 0);
+  CHECK_THROWS_WITH_AS(masked_mean(x, BasicTensor<double>({4}), valid),
+                       "masked_mean: mask has shape [4], expected [5] from x", ShapeError);
+  CHECK_THROWS_WITH_AS(masked_mean(x, mask, BasicTensor<double>({1, 5})),
+                       "masked_mean: valid has shape [1,5], expected [5] from x", ShapeError);
 }
 
 TEST_CASE("losses by hand") {
@@ -154,11 +177,13 @@ TEST_CASE("reductions and losses give the same bits for any number of threads") 
     set_threads(threads);
     const Var a(x, true);
     const Var l = smooth_l1(a, target, {}, 0.5f), s = sum(a), m = mse(a, target, {});
+    const Var k = masked_mean(a, target, x);
+    k.backward();
     l.backward();
     m.backward();
     s.backward();
     set_threads(0);
-    return std::vector<Tensor>{l.value(), s.value(), m.value(), a.grad()};
+    return std::vector<Tensor>{l.value(), s.value(), m.value(), k.value(), a.grad()};
   };
   const auto one = run(1), two = run(2);
   for (std::size_t k = 0; k < one.size(); ++k)
