@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <limits>
 #include <string>
 #include <unordered_set>
 
@@ -41,6 +42,16 @@ T* Node<T>::grad_in(std::size_t i) {
   if (input == nullptr || !input->wants_grad) return nullptr;
   if (input->grad.empty()) input->grad = BasicTensor<T>(input->value.shape());
   return input->grad.data();
+}
+
+template <class T>
+GradientTarget<T> Node<T>::grad_out(std::size_t i) {
+  Node* input = inputs[i].get();
+  if (input == nullptr || !input->wants_grad) return {};
+  if (!input->grad.empty()) return {input->grad.data(), true};
+  input->grad = BasicTensor<T>::uninitialised(input->value.shape());
+  if (NanGuard::active()) input->grad.fill(std::numeric_limits<T>::quiet_NaN());
+  return {input->grad.data(), false};
 }
 
 template <class T>

@@ -10,6 +10,15 @@
 
 namespace satsurf {
 
+/// Where a backward pass puts the gradient of one input.
+template <class T>
+struct GradientTarget {
+  T* data = nullptr;       ///< nullptr if nobody wants it
+  bool accumulate = true;  ///< add to what is there; else every element must be stored
+
+  explicit operator bool() const { return data != nullptr; }
+};
+
 /// One recorded value of the tape. Ops see it in their backward closure; nobody else needs it.
 template <class T>
 struct Node {
@@ -25,6 +34,10 @@ struct Node {
 
   /// Where to add the gradient of input i (zeroed at its first use), or nullptr if nobody wants it.
   T* grad_in(std::size_t i);
+  /// As `grad_in`, but not zeroed for the first that asks: it stores every element instead, which
+  /// spares memory-bound ops two passes. One value may be several inputs: write the gradients in
+  /// the order they are asked for here. Under NanGuard elements left out are found.
+  GradientTarget<T> grad_out(std::size_t i);
   /// The value of input i.
   const T* in(std::size_t i) const { return inputs[i]->value.data(); }
 
@@ -72,8 +85,9 @@ class BasicVar {
   /// op        its name, for errors; must outlive the tape
   /// value     the result
   /// inputs    what it was made from; may hold empty Vars (optional arguments)
-  /// backward  reads `n.grad` and adds into `n.grad_in(i)`, which is nullptr where nobody wants it;
-  ///           dropped at once if no input wants a gradient or under NoGrad
+  /// backward  reads `n.grad` and adds into `n.grad_in(i)`, which is nullptr where nobody wants it,
+  ///           or fills `n.grad_out(i)`; dropped at once if no input wants a gradient or under
+  ///           NoGrad
   static BasicVar record(const char* op, BasicTensor<T> value, std::vector<BasicVar> inputs,
                          typename Node<T>::Backward backward);
 

@@ -48,10 +48,10 @@ inline Batch<float> exp_below(const Batch<float>& x) {
   const float c[] = {0.00836317334f, 0.0416665561f, 0.166665778f, 0.5f, 1.0f, 1.0f};
   Batch<float> series(0.00139261759f);
   for (const float of : c) series = xsimd::fma(series, r, Batch<float>(of));
-  const auto bits =
-      xsimd::bitwise_cast<xsimd::batch<std::int32_t, Batch<float>::arch_type>>(shifted);
-  const Batch<float> power = xsimd::bitwise_cast<Batch<float>>((bits << 23) + 0x3f800000);
-  return xsimd::select(x < -87.33f, Batch<float>(0.0f), series * power);  // no denormals
+  using Bits = xsimd::batch<std::int32_t, Batch<float>::arch_type>;
+  const Bits power = xsimd::bitwise_cast<Bits>(shifted) << 23;  // added to the exponent
+  series = xsimd::bitwise_cast<Batch<float>>(xsimd::bitwise_cast<Bits>(series) + power);
+  return xsimd::select(x < -87.33f, Batch<float>(0.0f), series);  // no denormals
 }
 
 /// Sums of two series: at most kRun batches are added in T before they go to double.

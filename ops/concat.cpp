@@ -12,6 +12,8 @@
 namespace satsurf {
 namespace {
 
+constexpr Index kGrain = 1 << 15;  // elements per piece
+
 /// Elements begin.. of axis of a larger tensor, seen as `outer` runs of `run` elements `stride`
 /// apart.
 struct Runs {
@@ -25,11 +27,30 @@ Runs runs_of(const Shape& whole, Index axis, Index begin, Index extent) {
 
 template <class Body>
 void each_run(const Runs& r, const Body& body) {
-  constexpr Index kGrain = 1 << 15;
   for_range(r.outer, std::max<Index>(1, kGrain / std::max<Index>(1, r.run)),
             [&](Index begin, Index end) {
               for (Index o = begin; o < end; ++o) body(r.begin + o * r.stride, o * r.run);
             });
+}
+
+/// Puts the gradients g of those elements, a tensor of its own, where the whole's go.
+template <class T>
+void put_runs(const Runs& r, const T* g, const GradientTarget<T>& target) {
+  T* d = target.data;
+  if (target.accumulate)
+    each_run(r, [&](Index to, Index from) {
+      for (Index i = 0; i < r.run; ++i) d[to + i] += g[from + i];
+    });
+  else
+    for_range(r.outer, std::max<Index>(1, kGrain / std::max<Index>(1, r.stride)),
+              [&](Index begin, Index end) {
+                for (Index o = begin; o < end; ++o) {
+                  T* row = d + o * r.stride;
+                  std::fill_n(row, r.begin, T(0));
+                  std::copy_n(g + o * r.run, r.run, row + r.begin);
+                  std::fill(row + r.begin + r.run, row + r.stride, T(0));
+                }
+              });
 }
 
 void check_axis(const char* op, Index axis, const Shape& shape) {
@@ -69,10 +90,11 @@ BasicVar<T> concat(const std::vector<BasicVar<T>>& parts, Index axis) {
     Index offset = 0;
     for (std::size_t k = 0; k < n.inputs.size(); ++k) {
       const Index e = n.inputs[k]->value.dim(axis);
-      if (T* dx = n.grad_in(k)) {
+      if (const GradientTarget<T> d = n.grad_out(k)) {
         const Runs r = runs_of(n.value.shape(), axis, offset, e);
         each_run(r, [&](Index from, Index to) {
-          for (Index i = 0; i < r.run; ++i) dx[to + i] += g[from + i];
+          if (!d.accumulate) return void(std::copy_n(g + from, r.run, d.data + to));
+          for (Index i = 0; i < r.run; ++i) d.data[to + i] += g[from + i];
         });
       }
       offset += e;
@@ -93,11 +115,7 @@ BasicVar<T> slice(const BasicVar<T>& x, Index axis, Index begin, Index end) {
   T* y = out.data();
   each_run(r, [&](Index from, Index to) { std::copy_n(px + from, r.run, y + to); });
   return BasicVar<T>::record("slice", out, {x}, [r](Node<T>& n) {
-    const T* g = n.grad.data();
-    if (T* dx = n.grad_in(0))
-      each_run(r, [&](Index to, Index from) {
-        for (Index i = 0; i < r.run; ++i) dx[to + i] += g[from + i];
-      });
+    if (const GradientTarget<T> d = n.grad_out(0)) put_runs(r, n.grad.data(), d);
   });
 }
 
@@ -108,9 +126,10 @@ BasicVar<T> reshape(const BasicVar<T>& x, const Shape& shape) {
                      shape.str());
   return BasicVar<T>::record("reshape", x.value().reshaped(shape), {x}, [](Node<T>& n) {
     const T* g = n.grad.data();
-    if (T* dx = n.grad_in(0))
-      for_range(n.grad.count(), 1 << 15, [=](Index begin, Index end) {
-        for (Index i = begin; i < end; ++i) dx[i] += g[i];
+    if (const GradientTarget<T> d = n.grad_out(0))
+      for_range(n.grad.count(), kGrain, [=](Index begin, Index end) {
+        if (!d.accumulate) return void(std::copy(g + begin, g + end, d.data + begin));
+        for (Index i = begin; i < end; ++i) d.data[i] += g[i];
       });
   });
 }
@@ -131,11 +150,12 @@ BasicVar<T> pixels_from_map(const BasicVar<T>& x) {
     });
   return BasicVar<T>::record("pixels_from_map", out, {x}, [=](Node<T>& n) {
     const T* g = n.grad.data();
-    T* dx = n.grad_in(0);
-    if (dx == nullptr) return;
+    const GradientTarget<T> d = n.grad_out(0);
+    if (!d) return;
     for (Index i = 0; i < N; ++i)
       for_range(P, kPixels, [&](Index begin, Index end) {
-        transpose(end - begin, C, g + (i * P + begin) * C, C, true, dx + i * C * P + begin, P);
+        transpose(end - begin, C, g + (i * P + begin) * C, C, d.accumulate,
+                  d.data + i * C * P + begin, P);
       });
   });
 }

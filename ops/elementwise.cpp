@@ -28,6 +28,28 @@ void each(Index n, const F& f) {
   });
 }
 
+/// Puts f(i) where the gradient of input k goes, for all i.
+template <class T, class F>
+void each_gradient(Node<T>& n, std::size_t k, const F& f) {
+  const GradientTarget<T> target = n.grad_out(k);
+  T* d = target.data;
+  if (d == nullptr) return;
+  if (target.accumulate)
+    each(n.grad.count(), [=](Index i) { d[i] += f(i); });
+  else
+    each(n.grad.count(), [=](Index i) { d[i] = f(i); });
+}
+
+/// The same by a kernel(count, v, g, accumulate, d); v is what it needs beside n's gradient g.
+template <class T, class Kernel>
+void gradient_by(Node<T>& n, const T* v, Kernel kernel) {
+  const T* g = n.grad.data();
+  if (const GradientTarget<T> d = n.grad_out(0))
+    for_range(n.grad.count(), kGrain, [=](Index begin, Index end) {
+      kernel(end - begin, v + begin, g + begin, d.accumulate, d.data + begin);
+    });
+}
+
 }  // namespace
 
 template <class T>
@@ -40,8 +62,7 @@ BasicVar<T> add(BasicVar<T> a, BasicVar<T> b) {
   each(out.count(), [=](Index i) { y[i] = pa[i] + pb[i]; });
   return BasicVar<T>::record("add", out, {a, b}, [](Node<T>& n) {
     const T* g = n.grad.data();
-    for (std::size_t k = 0; k < 2; ++k)
-      if (T* d = n.grad_in(k)) each(n.grad.count(), [=](Index i) { d[i] += g[i]; });
+    for (const std::size_t k : {0, 1}) each_gradient(n, k, [=](Index i) { return g[i]; });
   });
 }
 
@@ -54,8 +75,8 @@ BasicVar<T> sub(const BasicVar<T>& a, const BasicVar<T>& b) {
   each(out.count(), [=](Index i) { y[i] = pa[i] - pb[i]; });
   return BasicVar<T>::record("sub", out, {a, b}, [](Node<T>& n) {
     const T* g = n.grad.data();
-    if (T* da = n.grad_in(0)) each(n.grad.count(), [=](Index i) { da[i] += g[i]; });
-    if (T* db = n.grad_in(1)) each(n.grad.count(), [=](Index i) { db[i] -= g[i]; });
+    each_gradient(n, 0, [=](Index i) { return g[i]; });
+    each_gradient(n, 1, [=](Index i) { return -g[i]; });
   });
 }
 
@@ -68,8 +89,8 @@ BasicVar<T> mul(const BasicVar<T>& a, const BasicVar<T>& b) {
   each(out.count(), [=](Index i) { y[i] = pa[i] * pb[i]; });
   return BasicVar<T>::record("mul", out, {a, b}, [](Node<T>& n) {
     const T *g = n.grad.data(), *xa = n.in(0), *xb = n.in(1);
-    if (T* da = n.grad_in(0)) each(n.grad.count(), [=](Index i) { da[i] += g[i] * xb[i]; });
-    if (T* db = n.grad_in(1)) each(n.grad.count(), [=](Index i) { db[i] += g[i] * xa[i]; });
+    each_gradient(n, 0, [=](Index i) { return g[i] * xb[i]; });
+    each_gradient(n, 1, [=](Index i) { return g[i] * xa[i]; });
   });
 }
 
@@ -81,7 +102,7 @@ BasicVar<T> affine(const BasicVar<T>& x, T factor, T offset) {
   each(out.count(), [=](Index i) { y[i] = factor * px[i] + offset; });
   return BasicVar<T>::record("affine", out, {x}, [factor](Node<T>& n) {
     const T* g = n.grad.data();
-    if (T* dx = n.grad_in(0)) each(n.grad.count(), [=](Index i) { dx[i] += factor * g[i]; });
+    each_gradient(n, 0, [=](Index i) { return factor * g[i]; });
   });
 }
 
@@ -92,12 +113,7 @@ BasicVar<T> relu(const BasicVar<T>& x) {
   T* y = out.data();
   each(out.count(), [=](Index i) { y[i] = px[i] < 0 ? T(0) : px[i]; });  // NaN stays
   return BasicVar<T>::record("relu", out, {x}, [](Node<T>& n) {
-    const T *g = n.grad.data(), *v = n.value.data();
-    const auto kernel = SATSURF_DISPATCH(relu_backward<T>);
-    if (T* dx = n.grad_in(0))
-      for_range(n.grad.count(), kGrain, [=](Index begin, Index end) {
-        kernel(end - begin, v + begin, g + begin, dx + begin);
-      });
+    gradient_by(n, n.value.data(), SATSURF_DISPATCH(relu_backward<T>));
   });
 }
 
@@ -110,12 +126,7 @@ BasicVar<T> gelu(const BasicVar<T>& x) {
   for_range(out.count(), kGrain,
             [=](Index begin, Index end) { forward(end - begin, px + begin, y + begin); });
   return BasicVar<T>::record("gelu", out, {x}, [](Node<T>& n) {
-    const T *g = n.grad.data(), *v = n.in(0);
-    const auto backward = SATSURF_DISPATCH(gelu_backward<T>);
-    if (T* dx = n.grad_in(0))
-      for_range(n.grad.count(), kGrain, [=](Index begin, Index end) {
-        backward(end - begin, v + begin, g + begin, dx + begin);
-      });
+    gradient_by(n, n.in(0), SATSURF_DISPATCH(gelu_backward<T>));
   });
 }
 
@@ -129,8 +140,7 @@ BasicVar<T> sigmoid(const BasicVar<T>& x) {
             [=](Index begin, Index end) { kernel(end - begin, px + begin, y + begin); });
   return BasicVar<T>::record("sigmoid", out, {x}, [](Node<T>& n) {
     const T *g = n.grad.data(), *s = n.value.data();
-    if (T* dx = n.grad_in(0))
-      each(n.grad.count(), [=](Index i) { dx[i] += g[i] * s[i] * (T(1) - s[i]); });
+    each_gradient(n, 0, [=](Index i) { return g[i] * s[i] * (T(1) - s[i]); });
   });
 }
 
@@ -143,12 +153,7 @@ BasicVar<T> softplus(const BasicVar<T>& x) {
   for_range(out.count(), kGrain,
             [=](Index begin, Index end) { forward(end - begin, px + begin, y + begin); });
   return BasicVar<T>::record("softplus", out, {x}, [](Node<T>& n) {
-    const T *g = n.grad.data(), *v = n.in(0);
-    const auto backward = SATSURF_DISPATCH(softplus_backward<T>);
-    if (T* dx = n.grad_in(0))
-      for_range(n.grad.count(), kGrain, [=](Index begin, Index end) {
-        backward(end - begin, v + begin, g + begin, dx + begin);
-      });
+    gradient_by(n, n.in(0), SATSURF_DISPATCH(softplus_backward<T>));
   });
 }
 

@@ -136,8 +136,8 @@ BasicVar<T> resample(const char* op, const BasicVar<T>& x, const Size<T>& size, 
   });
   return BasicVar<T>::record(
       op, out, {x}, [=, v = std::move(vertical), h = std::move(horizontal)](Node<T>& n) {
-        T* dx = n.grad_in(0);
-        if (dx == nullptr) return;
+        const GradientTarget<T> d = n.grad_out(0);
+        if (!d) return;
         const Readers readers(v, H);
         const T* g = n.grad.data();
         each_row(planes, H, W, [&](Index p, Index k) {  // every input row gathers its readers
@@ -153,14 +153,15 @@ BasicVar<T> resample(const char* op, const BasicVar<T>& x, const Size<T>& size, 
             rows.push_back(g + (p * out_H + i) * out_W);
             shares.push_back(share);
           }
+          T *to = d.data + (p * H + k) * W, *mixed = scratch_row<T>(out_W);
+          const bool steps = !doubles || rows.empty();  // adds here and there, or nothing at all
+          if (steps && !d.accumulate) std::fill_n(to, W, T(0));
           if (rows.empty()) return;
-          T* mixed = scratch_row<T>(out_W);
           kernels.mix(static_cast<Index>(rows.size()), rows.data(), shares.data(), out_W, mixed);
-          T* to = dx + (p * H + k) * W;
-          if (doubles && h.nearest) return kernels.pair_sums(W, mixed, T(1), true, to);
+          if (doubles && h.nearest) return kernels.pair_sums(W, mixed, T(1), d.accumulate, to);
           if (doubles) {
             extend(mixed, out_W);
-            return kernels.expand_backward(W, mixed, to);
+            return kernels.expand_backward(W, mixed, d.accumulate, to);
           }
           for (Index j = 0; j < out_W; ++j) {
             const T w = static_cast<T>(h.weight[Axis::at(j)]), m = mixed[j];
@@ -220,8 +221,8 @@ BasicVar<T> area_downsample(const BasicVar<T>& x, Index factor) {
     }
   });
   return BasicVar<T>::record("area_downsample", out, {x}, [=](Node<T>& n) {
-    T* dx = n.grad_in(0);
-    if (dx == nullptr) return;
+    const GradientTarget<T> d = n.grad_out(0);
+    if (!d) return;
     each_row(planes, H, wide * factor, [&](Index p, Index i) {
       const T* g = n.grad.data() + (p * H + i) * W;
       T *spread = scratch_row<T>(2 * wide), *other = spread + wide;  // by turns
@@ -234,7 +235,7 @@ BasicVar<T> area_downsample(const BasicVar<T>& x, Index factor) {
         g = spread;
       }
       for (Index a = 0; a < factor; ++a)
-        kernels.add(wide, g, share, dx + ((p * H + i) * factor + a) * wide);
+        kernels.scaled(wide, g, share, d.accumulate, d.data + ((p * H + i) * factor + a) * wide);
     });
   });
 }

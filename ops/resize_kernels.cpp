@@ -30,13 +30,21 @@ struct Pairs {
   }
 };
 
+/// Rows are too short for the processor to fetch ahead by itself; 8 kB on lie those of the next
+/// calls.
+template <class T>
+constexpr Index kAhead = 8192 / sizeof(T);
+
 /// R rows at a time, the first of all written and the others added.
 template <class T, Index R>
 void mix_rows(bool first, const T* const* rows, const T* weight, Index n, T* y) {
   each_batch<T>(n, [=](Index i, Index k) {
-    Batch<T> sum = weight[0] * load(rows[0] + i, k);
+    Batch<T> sum(T(0));
 #pragma GCC unroll 4
-    for (Index r = 1; r < R; ++r) sum = xsimd::fma(Batch<T>(weight[r]), load(rows[r] + i, k), sum);
+    for (Index r = 0; r < R; ++r) {
+      __builtin_prefetch(rows[r] + i + kAhead<T>);
+      sum = xsimd::fma(Batch<T>(weight[r]), load(rows[r] + i, k), sum);
+    }
     store(y + i, first ? sum : sum + load(y + i, k), k);
   });
 }
@@ -58,9 +66,10 @@ void between(Index n, const T* a, const T* b, T weight, T* y) {
 }
 
 template <class T>
-void add(Index n, const T* x, T scale, T* d) {
+void scaled(Index n, const T* x, T scale, bool accumulate, T* d) {
   each_batch<T>(n, [=](Index i, Index k) {
-    store(d + i, xsimd::fma(Batch<T>(scale), load(x + i, k), load(d + i, k)), k);
+    const Batch<T> v = load(x + i, k);
+    store(d + i, accumulate ? xsimd::fma(Batch<T>(scale), v, load(d + i, k)) : scale * v, k);
   });
 }
 
@@ -106,18 +115,20 @@ void expand(Index n, const T* x, T* y) {
 }
 
 template <class T>
-void expand_backward(Index n, const T* g, T* d) {
+void expand_backward(Index n, const T* g, bool accumulate, T* d) {
   constexpr Index L = kLanes<T>;
   Index i = 0;
   for (; i + L <= n; i += L) {
     const Pairs<T> before(g + 2 * i - 1),
         behind(g + 2 * i + 1);  // 2i - 1 and 2i; 2i + 1 and 2i + 2
     const Batch<T> near = before.odd + behind.even, far = before.even + behind.odd;
-    const auto sum = xsimd::fma(Batch<T>(T(0.75)), near, T(0.25) * far);
-    (Batch<T>::load_unaligned(d + i) + sum).store_unaligned(d + i);
+    Batch<T> sum = xsimd::fma(Batch<T>(T(0.75)), near, T(0.25) * far);
+    if (accumulate) sum += Batch<T>::load_unaligned(d + i);
+    sum.store_unaligned(d + i);
   }
   for (; i < n; ++i)
-    d[i] += T(0.75) * (g[2 * i] + g[2 * i + 1]) + T(0.25) * (g[2 * i - 1] + g[2 * i + 2]);
+    d[i] = (accumulate ? d[i] : T(0)) + T(0.75) * (g[2 * i] + g[2 * i + 1]) +
+           T(0.25) * (g[2 * i - 1] + g[2 * i + 2]);
 }
 
 }  // namespace
@@ -126,7 +137,7 @@ template <class T>
 ResizeKernels<T> resize_kernels() {
   return {.mix = mix<T>,
           .between = between<T>,
-          .add = add<T>,
+          .scaled = scaled<T>,
           .repeat = repeat<T>,
           .pair_sums = pair_sums<T>,
           .expand = expand<T>,

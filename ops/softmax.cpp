@@ -13,14 +13,24 @@
 namespace satsurf {
 namespace {
 
-/// body(b, first pixel, last pixel + 1) for runs of pixels of one batch element.
+/// body(b, first pixel, last pixel + 1) for runs of at most `most` pixels of one batch element.
+template <class Body>
+void each_run(Index B, Index P, Index most, const Body& body) {
+  const Index runs = (P + most - 1) / most;
+  for_each_index(B * runs, [&](Index r) {
+    const Index b = r / runs, begin = r % runs * most;
+    body(b, begin, std::min(P, begin + most));
+  });
+}
 template <class Body>
 void each_run(Index B, Index P, const Body& body) {
-  const Index runs = (P + kSoftmaxPixels - 1) / kSoftmaxPixels;
-  for_each_index(B * runs, [&](Index r) {
-    const Index b = r / runs, begin = r % runs * kSoftmaxPixels;
-    body(b, begin, std::min(P, begin + kSoftmaxPixels));
-  });
+  each_run(B, P, kSoftmaxPixels, body);
+}
+
+/// Pixels of a run where hardly anything is kept from hypothesis to hypothesis: memory likes long
+/// ones, and threads like many.
+Index long_run(Index pixels) {
+  return std::clamp<Index>(pixels / 16 / kSoftmaxPixels, 1, 8) * kSoftmaxPixels;
 }
 
 /// `rows` rows of the calling thread's own, kept from one piece to the next.
@@ -49,13 +59,13 @@ void softmax_forward(const BasicTensor<T>& logits, const T* heights, T* out, T* 
   });
 }
 
-/// Adds to of.d; the pointers of `of` are to the first element of all.
+/// Fills of.d or adds to it; the pointers of `of` are to the first element of all.
 template <class T>
 void softmax_backward(Index B, Index D, Index P, const SoftmaxGradient<T>& of) {
   const auto backward = SATSURF_DISPATCH(softmax_kernels<T>)().backward;
   each_run(B, P, [&](Index b, Index begin, Index end) {
     const Index at = b * D * P + begin, pixel = b * P + begin;
-    SoftmaxGradient<T> here{.p = of.p + at, .d = of.d + at};
+    SoftmaxGradient<T> here{.p = of.p + at, .d = of.d + at, .accumulate = of.accumulate};
     if (of.g != nullptr) here.g = of.g + at;
     if (of.z != nullptr) {
       here.z = of.z + at;
@@ -80,8 +90,10 @@ BasicVar<T> softmax_hypotheses(const BasicVar<T>& logits) {
   if (out.count() == 0) return BasicVar<T>(out);
   softmax_forward<T>(logits.value(), nullptr, out.data(), nullptr, nullptr);
   return BasicVar<T>::record("softmax_hypotheses", out, {logits}, [=](Node<T>& n) {
-    if (T* dx = n.grad_in(0))  // dL/dx_d = p_d (g_d - sum_k p_k g_k)
-      softmax_backward<T>(B, D, P, {.p = n.value.data(), .g = n.grad.data(), .d = dx});
+    if (const auto d = n.grad_out(0))  // dL/dx_d = p_d (g_d - sum_k p_k g_k)
+      softmax_backward<T>(
+          B, D, P,
+          {.p = n.value.data(), .g = n.grad.data(), .d = d.data, .accumulate = d.accumulate});
   });
 }
 
@@ -106,8 +118,8 @@ HeightDistribution<T> height_distribution(const BasicVar<T>& logits,
   const auto kept = std::make_shared<Gradients>();
   const auto height = BasicVar<T>::record("height_distribution", z, {logits}, [=](Node<T>& n) {
     // dL/dx_d = p_d (g_d - sum_k p_k g_k), where g_d = gP_d + gH z_d + gC [d is the maximum]
-    T* dx = n.grad_in(0);
-    if (dx == nullptr) return;
+    const GradientTarget<T> d = n.grad_out(0);
+    if (!d) return;
     const BasicTensor<T>& gc = kept->confidence.empty()
                                    ? kept->confidence = BasicTensor<T>::zeros_like(c)
                                    : kept->confidence;
@@ -119,7 +131,8 @@ HeightDistribution<T> height_distribution(const BasicVar<T>& logits,
                          .confidence = c.data(),
                          .g_height = n.grad.data(),
                          .g_confidence = gc.data(),
-                         .d = dx});
+                         .d = d.data,
+                         .accumulate = d.accumulate});
   });
   const auto leave = [&](const char* op, const BasicTensor<T>& value,
                          BasicTensor<T> Gradients::*gradient) {
@@ -139,20 +152,23 @@ BasicVar<T> expected_height(const BasicVar<T>& probability, const BasicTensor<T>
   const Index B = dim["B"], D = dim["D"], H = dim["H"], W = dim["W"], P = H * W;
 
   BasicTensor<T> out({B, H, W});
-  each_run(B, P, [&](Index b, Index begin, Index end) {
+  each_run(B, P, long_run(B * P), [&](Index b, Index begin, Index end) {
     const T *p = probability.value().data() + b * D * P, *z = heights.data() + b * D * P;
     T* y = out.data() + b * P;
     for (Index d = 0; d < D; ++d)
       for (Index i = begin; i < end; ++i) y[i] += p[d * P + i] * z[d * P + i];
   });
   return BasicVar<T>::record("expected_height", out, {probability}, [=](Node<T>& n) {
-    T* dp = n.grad_in(0);
-    if (dp == nullptr) return;
-    each_run(B, P, [&](Index b, Index begin, Index end) {
+    const GradientTarget<T> target = n.grad_out(0);
+    if (!target) return;
+    each_run(B, P, long_run(B * P), [&](Index b, Index begin, Index end) {
       const T *g = n.grad.data() + b * P, *z = heights.data() + b * D * P;
-      T* to = dp + b * D * P;
+      T* to = target.data + b * D * P;
       for (Index d = 0; d < D; ++d)
-        for (Index i = begin; i < end; ++i) to[d * P + i] += g[i] * z[d * P + i];
+        if (target.accumulate)
+          for (Index i = begin; i < end; ++i) to[d * P + i] += g[i] * z[d * P + i];
+        else
+          for (Index i = begin; i < end; ++i) to[d * P + i] = g[i] * z[d * P + i];
     });
   });
 }
@@ -167,21 +183,20 @@ BasicVar<T> max_probability(const BasicVar<T>& probability) {
                      ", expected at least one hypothesis");
 
   auto out = BasicTensor<T>::uninitialised({B, H, W});
-  each_run(B, P, [&](Index b, Index begin, Index end) {
-    const T* p = probability.value().data() + b * D * P;
-    T* y = out.data() + b * P;
-    std::copy(p + begin, p + end, y + begin);
-    for (Index d = 1; d < D; ++d)
-      for (Index i = begin; i < end; ++i) y[i] = std::max(y[i], p[d * P + i]);
+  auto first = BasicTensor<T>::uninitialised({B, H, W});  // the hypothesis that has it
+  const auto kernels = SATSURF_DISPATCH(softmax_kernels<T>)();
+  each_run(B, P, long_run(B * P), [&](Index b, Index begin, Index end) {
+    const Index pixel = b * P + begin;
+    kernels.maximum(D, P, end - begin, probability.value().data() + b * D * P + begin,
+                    out.data() + pixel, first.data() + pixel);
   });
   return BasicVar<T>::record("max_probability", out, {probability}, [=](Node<T>& n) {
-    T* dp = n.grad_in(0);
-    if (dp == nullptr) return;
-    const auto backward = SATSURF_DISPATCH(softmax_kernels<T>)().max_backward;
-    each_run(B, P, [&](Index b, Index begin, Index end) {
-      const Index at = b * D * P + begin, pixel = b * P + begin;
-      backward(D, P, end - begin, n.in(0) + at, n.value.data() + pixel, n.grad.data() + pixel,
-               dp + at, tile_of<T>(1));
+    const GradientTarget<T> d = n.grad_out(0);
+    if (!d) return;
+    each_run(B, P, long_run(B * P), [&](Index b, Index begin, Index end) {
+      const Index pixel = b * P + begin;
+      kernels.max_backward(D, P, end - begin, first.data() + pixel, n.grad.data() + pixel,
+                           d.accumulate, d.data + b * D * P + begin);
     });
   });
 }

@@ -153,7 +153,7 @@ void backward(Index D, Index stride, Index n, const SoftmaxGradient<T>& of, T* t
           e += xsimd::select(found, rest, zero);
           rest = xsimd::select(found, zero, rest);
         }
-        store(of.d + at, xsimd::fma(p, e, load(of.d + at, k)), k);
+        store(of.d + at, of.accumulate ? xsimd::fma(p, e, load(of.d + at, k)) : p * e, k);
       }
       if constexpr (kHeights) rest.store_unaligned(left + i);
     });
@@ -171,24 +171,39 @@ void backward(Index D, Index stride, Index n, const SoftmaxGradient<T>& of, T* t
 }
 
 template <class T>
-void max_backward(Index D, Index stride, Index n, const T* p, const T* top, const T* g, T* d,
-                  T* tile) {
-  T* left = tile;  // the gradient until it is given away
-  const Batch<T> zero(T(0));
-  each_batch<T>(n, [&](Index i, Index k) { load(g + i, k).store_unaligned(left + i); });
-  each_group(D, [&](auto planes, Index first) {
+void maximum(Index D, Index stride, Index n, const T* p, T* top, T* first) {
+  each_group(D, [&](auto planes, Index d) {
     constexpr Index R = planes.kCount;
     each_batch<T>(n, [&](Index i, Index k) {
-      const Batch<T> most = load(top + i, k);
-      Batch<T> rest = Batch<T>::load_unaligned(left + i);
+      const T* at = p + d * stride + i;
+      Batch<T> most = load(d == 0 ? at : top + i, k), which(T(0));
+      if (d > 0) which = load(first + i, k);
 #pragma GCC unroll 4
       for (Index r = 0; r < R; ++r) {
-        const Index at = (first + r) * stride + i;
-        const auto found = load(p + at, k) == most;
-        store(d + at, load(d + at, k) + xsimd::select(found, rest, zero), k);
-        rest = xsimd::select(found, zero, rest);
+        const Batch<T> v = load(at + r * stride, k);
+        which = xsimd::select(v > most, Batch<T>(static_cast<T>(d + r)), which);
+        most = xsimd::max(v, most);
       }
-      rest.store_unaligned(left + i);
+      store(top + i, most, k);
+      store(first + i, which, k);
+    });
+  });
+}
+
+template <class T>
+void max_backward(Index D, Index stride, Index n, const T* first, const T* g, bool accumulate,
+                  T* d) {
+  const Batch<T> zero(T(0));
+  each_group(D, [&](auto planes, Index begin) {
+    constexpr Index R = planes.kCount;
+    each_batch<T>(n, [&](Index i, Index k) {
+      const Batch<T> which = load(first + i, k), all = load(g + i, k);
+#pragma GCC unroll 4
+      for (Index r = 0; r < R; ++r) {
+        T* to = d + (begin + r) * stride + i;
+        const auto own = xsimd::select(which == static_cast<T>(begin + r), all, zero);
+        store(to, accumulate ? load(to, k) + own : own, k);
+      }
     });
   });
 }
@@ -197,7 +212,10 @@ void max_backward(Index D, Index stride, Index n, const T* p, const T* top, cons
 
 template <class T>
 SoftmaxKernels<T> softmax_kernels() {
-  return {.forward = forward<T>, .backward = backward<T>, .max_backward = max_backward<T>};
+  return {.forward = forward<T>,
+          .backward = backward<T>,
+          .maximum = maximum<T>,
+          .max_backward = max_backward<T>};
 }
 template SoftmaxKernels<float> softmax_kernels();
 template SoftmaxKernels<double> softmax_kernels();

@@ -12,7 +12,7 @@ inline constexpr Index kSoftmaxPixels = 512;
 /// last 12 bits wait for each other.
 inline constexpr Index kSoftmaxRow = kSoftmaxPixels + 16;
 
-/// What the backward pass reads and adds to, for D planes `stride` apart from the first pixel on.
+/// What the backward pass reads and writes, for D planes `stride` apart from the first pixel on.
 template <class T>
 struct SoftmaxGradient {
   const T* p = nullptr;
@@ -21,10 +21,11 @@ struct SoftmaxGradient {
   const T *height = nullptr, *confidence = nullptr;
   const T *g_height = nullptr, *g_confidence = nullptr;
   T* d = nullptr;
+  bool accumulate = true;  ///< d_d += instead of d_d =
 };
 
-/// The loops of softmax.cpp over D planes `stride` apart, n <= kSoftmaxPixels pixels, for one
-/// instruction set.
+/// The loops of softmax.cpp over D planes `stride` apart and n pixels, at most kSoftmaxPixels where
+/// there is a tile, for one instruction set.
 template <class T>
 struct SoftmaxKernels {
   /// y_d = exp(x_d) / sum_k exp(x_k); unless z is nullptr also
@@ -32,14 +33,15 @@ struct SoftmaxKernels {
   /// tile  [(D + 3) kSoftmaxRow]
   void (*forward)(Index D, Index stride, Index n, const T* x, const T* z, T* y, T* height,
                   T* confidence, T* tile);
-  /// d_d += p_d (g_d - sum_k p_k g_k); with z, g_height (z_d - height) is added inside the bracket
+  /// d_d = p_d (g_d - sum_k p_k g_k); with z, g_height (z_d - height) is added inside the bracket
   /// and g_d is larger by g_confidence at the first maximum
   /// tile  [2 kSoftmaxRow]
   void (*backward)(Index D, Index stride, Index n, const SoftmaxGradient<T>& of, T* tile);
-  /// d_d += g at the first plane whose p equals top
-  /// tile  [kSoftmaxRow]
-  void (*max_backward)(Index D, Index stride, Index n, const T* p, const T* top, const T* g, T* d,
-                       T* tile);
+  /// top = max_d p_d, first = the lowest d that has it
+  void (*maximum)(Index D, Index stride, Index n, const T* p, T* top, T* first);
+  /// d_d = g at plane `first`, 0 at the others; with `accumulate` that is added
+  void (*max_backward)(Index D, Index stride, Index n, const T* first, const T* g, bool accumulate,
+                       T* d);
 };
 
 namespace isa_baseline {

@@ -57,7 +57,7 @@ using DoubleVars = std::vector<BasicVar<double>>;
 /// element by element. An error counts relative to the largest gradient of its input, however small
 /// that is (a mean's are 1 / N), less what rounding alone does to the difference. Fails too where an
 /// input's gradient is all zero without being declared so: tolerances alone would let a forgotten
-/// gradient pass.
+/// gradient pass. And fails where a second pass does not add the same again.
 inline GradcheckReport gradcheck(const std::function<BasicVar<double>(const DoubleVars&)>& f,
                                  const std::vector<BasicTensor<double>>& inputs,
                                  const GradcheckOptions& opt = {}) {
@@ -66,7 +66,13 @@ inline GradcheckReport gradcheck(const std::function<BasicVar<double>(const Doub
   const BasicVar<double> out = f(vars);
   Rng rng(opt.seed);
   const auto cotangent = normal_tensor<double>(out.shape(), rng);
-  out.backward(cotangent);
+  std::vector<BasicTensor<double>> once;
+  {
+    const NanGuard guard;  // elements of new gradients that backward leaves out are NaN
+    out.backward(cotangent);
+    for (const auto& v : vars) once.push_back(v.grad().clone());
+    f(vars).backward(cotangent);  // adds
+  }
 
   double magnitude = 0;  // sum of |terms| of the objective: what its rounding error scales with
   const auto objective = [&] {
@@ -99,10 +105,19 @@ inline GradcheckReport gradcheck(const std::function<BasicVar<double>(const Doub
       const double down = objective();
       x[i] = saved;
       numeric[e] = (up - down) / (2 * h);
-      analytic[e] = vars[k].grad().empty() ? 0.0 : vars[k].grad()[i];
+      analytic[e] = once[k].empty() ? 0.0 : once[k][i];
       rounding[e] = 4 * std::numeric_limits<double>::epsilon() * magnitude / h;
       scale = std::max({scale, std::abs(analytic[e]), std::abs(numeric[e]) - rounding[e]});
       all_zero = all_zero && analytic[e] == 0.0;
+    }
+    for (std::size_t e = 0; e < count && !once[k].empty(); ++e) {
+      const double twice = vars[k].grad()[static_cast<Index>(e)];
+      if (std::abs(twice - 2 * analytic[e]) <= 1e-9 * scale) continue;
+      report.ok = false;
+      report.text = "input " + std::to_string(k) + " element " + std::to_string(e) +
+                    ": a second pass makes " + std::to_string(analytic[e]) + " " +
+                    std::to_string(twice);
+      return report;
     }
     for (std::size_t e = 0; e < count; ++e) {
       // the cap keeps a noisy objective from excusing a wrong gradient

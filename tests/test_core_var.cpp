@@ -138,6 +138,57 @@ TEST_CASE("gradcheck sees a wrong gradient however small all of them are") {
   CHECK_FALSE(test::gradcheck(scaled_mean(-1e-4), {x}));
 }
 
+TEST_CASE("var: the first to write a gradient stores it, the others add") {
+  // a + 2 b, whose backward notes for which inputs it had to add
+  const auto sum = [](const V& a, const V& b, std::vector<bool>& added, Index left_out = 0) {
+    T out = a.value().clone();
+    for (Index i = 0; i < out.count(); ++i) out[i] += 2 * b.value()[i];
+    return V::record("sum", out, {a, b, V()}, [&added, left_out](Node<double>& n) {
+      added.clear();
+      for (const std::size_t k : {0, 1, 2}) {
+        const GradientTarget<double> d = n.grad_out(k);
+        if (!d) continue;
+        added.push_back(d.accumulate);
+        for (Index i = 0; i < n.grad.count() - left_out; ++i)
+          d.data[i] = (d.accumulate ? d.data[i] : 0) + (k == 0 ? 1 : 2) * n.grad[i];
+      }
+    });
+  };
+  using Added = std::vector<bool>;
+  Added added;
+  const V x(T({3}, 1.0), true), y(T({3}, 1.0), true), constant(T({3}, 1.0));
+  sum(x, y, added).backward(T({3}, 5.0));
+  CHECK(added == Added{false, false});
+  sum(x, constant, added).backward(T({3}, 5.0));
+  CHECK(added == Added{true});
+  CHECK(x.grad()[2] == 10);
+  CHECK(y.grad()[2] == 10);
+  const V z(T({3}, 1.0), true);
+  sum(z, z, added).backward(T({3}, 5.0));  // one value as both inputs
+  CHECK(added == Added{false, true});
+  CHECK(z.grad()[2] == 15);
+
+  const NanGuard guard;
+  const V w(T({3}, 1.0), true);
+  CHECK_NOTHROW(sum(w, w, added).backward(T({3}, 5.0)));
+  const V v(T({3}, 1.0), true);
+  CHECK_THROWS_WITH_AS(sum(v, v, added, 1).backward(T({3}, 5.0)),
+                       "sum: gradient element 2 of shape [3] is nan, expected finite numbers",
+                       Error);
+}
+
+TEST_CASE("gradcheck sees a gradient that is stored where it should be added") {
+  const auto identity = [](const std::vector<V>& v) {
+    return V::record("identity", v[0].value().clone(), {v[0]}, [](Node<double>& n) {
+      const GradientTarget<double> d = n.grad_out(0);
+      for (Index i = 0; i < n.grad.count(); ++i) d.data[i] = n.grad[i];
+    });
+  };
+  const test::GradcheckReport wrong = test::gradcheck(identity, {test::normal({4}, 7)});
+  CHECK_FALSE(wrong);
+  CHECK(wrong.text.starts_with("input 0 element 0: a second pass makes "));
+}
+
 TEST_CASE("var: NanGuard names the op that broke first") {
   const V x = leaf(std::numeric_limits<double>::max());
   const V broken = muladd(x, x);

@@ -83,11 +83,22 @@ TEST_CASE_TEMPLATE("pointwise kernels of every instruction set", T, float, doubl
       k.logistic(n, x, s.data());
       dg.fill(T(1));
       dr.fill(T(1));
-      k.gelu_backward(n, x, g.data(), dg.data());
-      k.relu_backward(n, x, g.data(), dr.data());
+      k.gelu_backward(n, x, g.data(), true, dg.data());
+      k.relu_backward(n, x, g.data(), true, dr.data());
       k.softplus(n, x, p.data());
       dp.fill(T(1));
-      k.softplus_backward(n, x, g.data(), dp.data());
+      k.softplus_backward(n, x, g.data(), true, dp.data());
+      BasicTensor<T> first({n + 1}, guard);  // stored, not added
+      const auto stores = [&](const auto& backward, const T* v, const BasicTensor<T>& added) {
+        first.fill(guard);
+        backward(n, v, g.data(), false, first.data());
+        for (Index i = 0; i < n; ++i)
+          CHECK(std::abs(static_cast<double>(first[i] + T(1) - added[i])) <= tolerance);
+        CHECK(first[n] == guard);
+      };
+      stores(k.gelu_backward, x, dg);
+      stores(k.relu_backward, x, dr);
+      stores(k.softplus_backward, x, dp);
       for (Index i = 0; i < n; ++i) {
         const double xi = static_cast<double>(x[i]), cdf = phi_cdf(xi);
         CAPTURE(xi);
@@ -121,6 +132,8 @@ TEST_CASE("elementwise gradients") {
   CHECK(gradcheck([](const V& v) { return sub(v[0], v[1]); }, {a, b}));
   CHECK(gradcheck([](const V& v) { return mul(v[0], v[1]); }, {a, b}));
   CHECK(gradcheck([](const V& v) { return mul(v[0], v[0]); }, {a}));
+  CHECK(gradcheck([](const V& v) { return add(v[0], v[0]); }, {a}));
+  CHECK(gradcheck([](const V& v) { return sub(affine(v[0], 3.0, 0.0), v[0]); }, {a}));
   CHECK(gradcheck([](const V& v) { return affine(v[0], -1.7, 0.3); }, {a}));
   CHECK(gradcheck([](const V& v) { return relu(v[0]); }, {off}));
   CHECK(gradcheck([](const V& v) { return gelu(v[0]); }, {a}));
@@ -144,7 +157,7 @@ TEST_CASE_TEMPLATE("softplus at the ends", T, float, double) {
     const T x[] = {inf, -inf, nan, low, T(87)}, g[] = {1, 1, 1, 1, 1};
     T y[5], d[5] = {};
     k.softplus(5, x, y);
-    k.softplus_backward(5, x, g, d);
+    k.softplus_backward(5, x, g, false, d);
     CHECK(y[0] == inf);
     CHECK(y[1] == 0);
     CHECK(y[2] != y[2]);
@@ -154,6 +167,26 @@ TEST_CASE_TEMPLATE("softplus at the ends", T, float, double) {
     CHECK(d[1] == 0);
     CHECK(d[2] != d[2]);
     CHECK(d[3] == doctest::Approx(std::exp(low)).epsilon(1e-6));
+    CHECK(d[4] == 1);
+  }
+}
+
+TEST_CASE_TEMPLATE("gelu at the ends", T, float, double) {
+  const T nan = std::numeric_limits<T>::quiet_NaN();
+  for (const auto& k : test::pointwise_variants<T>()) {
+    CAPTURE(k.name);
+    const T x[] = {nan, T(0), T(-0.0), T(-50), T(50)}, g[] = {1, 1, 1, 1, 1};
+    T y[5], d[5];
+    k.gelu(5, x, y);
+    k.gelu_backward(5, x, g, false, d);
+    CHECK(y[0] != y[0]);
+    CHECK(d[0] != d[0]);
+    CHECK(y[1] == 0);
+    CHECK(y[2] == 0);
+    CHECK(d[1] == doctest::Approx(0.5).epsilon(2e-7));
+    CHECK(y[3] == 0);
+    CHECK(d[3] == 0);
+    CHECK(y[4] == 50);
     CHECK(d[4] == 1);
   }
 }

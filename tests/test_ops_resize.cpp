@@ -101,11 +101,14 @@ TEST_CASE_TEMPLATE("resize kernels of every instruction set", T, float, double) 
       }
       BasicTensor<T> between({kMost + 1}, guard), added({kMost + 1}, guard),
           twice({2 * kMost + 1}, guard), sums({kMost + 1}, guard), more({kMost + 1}, guard),
-          expanded({2 * kMost + 1}, guard), back({kMost + 1}, guard);
+          expanded({2 * kMost + 1}, guard), back({kMost + 1}, guard), alone({kMost + 1}, guard),
+          times({kMost + 1}, guard);
       k.between(n, rows[0], rows[1], T(0.75), between.data());
       same(between, n, [&](Index i) { return 0.25 * at(0, i) + 0.75 * at(1, i); });
-      k.add(n, rows[0], T(0.5), added.data());
+      k.scaled(n, rows[0], T(0.5), true, added.data());
       same(added, n, [&](Index i) { return 9 + 0.5 * at(0, i); });
+      k.scaled(n, rows[0], T(0.5), false, times.data());
+      same(times, n, [&](Index i) { return 0.5 * at(0, i); });
       k.repeat(n, rows[0], twice.data());
       for (Index i = 0; i < twice.count(); ++i)
         CHECK(twice[i] == (i < 2 * n ? rows[0][i / 2] : guard));
@@ -117,9 +120,14 @@ TEST_CASE_TEMPLATE("resize kernels of every instruction set", T, float, double) 
       same(expanded, 2 * n, [&](Index i) {
         return 0.75 * at(0, i / 2) + 0.25 * at(0, i / 2 + (i % 2 == 0 ? -1 : 1));
       });
-      k.expand_backward(n, rows[0], back.data());
+      k.expand_backward(n, rows[0], true, back.data());
       same(back, n, [&](Index i) {
         return 9 + 0.75 * (at(0, 2 * i) + at(0, 2 * i + 1)) +
+               0.25 * (at(0, 2 * i - 1) + at(0, 2 * i + 2));
+      });
+      k.expand_backward(n, rows[0], false, alone.data());
+      same(alone, n, [&](Index i) {
+        return 0.75 * (at(0, 2 * i) + at(0, 2 * i + 1)) +
                0.25 * (at(0, 2 * i - 1) + at(0, 2 * i + 2));
       });
     }

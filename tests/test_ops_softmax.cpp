@@ -97,9 +97,13 @@ TEST_CASE_TEMPLATE("softmax kernels of every instruction set", T, float, double)
       CAPTURE(k.name);
       CAPTURE(n);
       const T guard = T(9);
-      BasicTensor<T> p({D, stride}, guard), d({D, stride}, guard), tile({D + 3, kSoftmaxRow});
+      BasicTensor<T> p({D, stride}, guard), d({D, stride}, guard), alone({D, stride}, guard),
+          tile({D + 3, kSoftmaxRow});
       k.forward(D, stride, n, x.data(), nullptr, p.data(), nullptr, nullptr, tile.data());
       k.backward(D, stride, n, gradient_of(p, g, d), tile.data());
+      auto stored = gradient_of(p, g, alone);
+      stored.accumulate = false;
+      k.backward(D, stride, n, stored, tile.data());
       const auto want = softmax_ref(x.template cast<double>().reshaped({1, D, 1, stride}));
       for (Index i = 0; i < stride; ++i) {
         double mean = 0;
@@ -110,9 +114,12 @@ TEST_CASE_TEMPLATE("softmax kernels of every instruction set", T, float, double)
           if (i >= n) {
             CHECK(p[at] == guard);
             CHECK(d[at] == guard);
+            CHECK(alone[at] == guard);
           } else {
             CHECK(std::abs(static_cast<double>(p[at]) - want[at]) < tolerance);
             CHECK(std::abs(static_cast<double>(d[at]) - 9 -
+                           want[at] * (static_cast<double>(g[at]) - mean)) < 10 * tolerance);
+            CHECK(std::abs(static_cast<double>(alone[at]) -
                            want[at] * (static_cast<double>(g[at]) - mean)) < 10 * tolerance);
           }
         }
@@ -147,12 +154,20 @@ TEST_CASE_TEMPLATE("height distribution kernels of every instruction set", T, fl
           of.g_height = gh.data();
           of.g_confidence = gc.data();
           k.backward(D, stride, n, of, tile.data());
-          BasicTensor<T> dm({D, stride}, guard);
-          k.max_backward(D, stride, n, p.data(), c.data(), gc.data(), dm.data(), tile.data());
+          BasicTensor<T> dm({D, stride}, guard), most({stride}, guard), first({stride}, guard),
+              dm_alone({D, stride}, guard);
+          k.maximum(D, stride, n, p.data(), most.data(), first.data());
+          k.max_backward(D, stride, n, first.data(), gc.data(), true, dm.data());
+          k.max_backward(D, stride, n, first.data(), gc.data(), false, dm_alone.data());
           const auto want = softmax_ref(x.template cast<double>().reshaped({1, D, 1, stride}));
           for (Index i = 0; i < stride; ++i) {
             if (i >= n) {
-              for (Index e = 0; e < D; ++e) CHECK(dm[e * stride + i] == guard);
+              for (Index e = 0; e < D; ++e) {
+                CHECK(dm[e * stride + i] == guard);
+                CHECK(dm_alone[e * stride + i] == guard);
+              }
+              CHECK(most[i] == guard);
+              CHECK(first[i] == guard);
               CHECK(h[i] == guard);
               CHECK(c[i] == guard);
               for (Index e = 0; e < D; ++e) CHECK(p[e * stride + i] == guard);
@@ -171,8 +186,12 @@ TEST_CASE_TEMPLATE("height distribution kernels of every instruction set", T, fl
                      static_cast<double>(gh[i]) * static_cast<double>(z[at]) +
                      (e == top ? static_cast<double>(gc[i]) : 0.0);
             };
-            for (Index e = 0; e < D; ++e)
+            for (Index e = 0; e < D; ++e) {
               CHECK(dm[e * stride + i] == (e == top ? guard + gc[i] : guard));
+              CHECK(dm_alone[e * stride + i] == (e == top ? gc[i] : T(0)));
+            }
+            CHECK(most[i] == p[top * stride + i]);
+            CHECK(first[i] == static_cast<T>(top));
             for (Index e = 0; e < D; ++e) mean += want[e * stride + i] * slope(e);
             CHECK(std::abs(static_cast<double>(h[i]) - height) < 4 * tolerance);
             CHECK(c[i] == p[top * stride + i]);
