@@ -72,9 +72,13 @@ conv::Input<T> input_of(const Node<T>& n, Activation activation) {
 template <class T, class Adjoint>
 void input_gradient(Node<T>& n, Activation activation, const Adjoint& adjoint) {
   const bool plain = n.inputs[1] == nullptr && activation == Activation::none;
-  T* dx = n.grad_in(0);
-  if (dx == nullptr && (plain || n.grad_in(1) == nullptr)) return;
-  if (plain) return adjoint(dx, true);
+  if (plain) {
+    const GradientTarget<T> dx = n.grad_out(0);
+    if (dx) adjoint(dx.data, dx.accumulate);
+    return;
+  }
+  const auto wanted = [&](std::size_t i) { return n.inputs[i] && n.inputs[i]->wants_grad; };
+  if (!wanted(0) && !wanted(1)) return;
   auto dz = BasicTensor<T>::uninitialised(n.inputs[0]->value.shape());
   adjoint(dz.data(), false);
   detail::normalised_backward(n, 0, activation, dz.data());

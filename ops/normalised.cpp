@@ -54,16 +54,17 @@ void detail::check_normalised(const char* op, const Normalised<T>& value) {
 
 template <class T>
 void detail::normalised_backward(Node<T>& n, std::size_t i, Activation activation, const T* dz) {
-  T *dx = n.grad_in(i), *daffine = n.grad_in(i + 1);
-  if (dx == nullptr && daffine == nullptr) return;
+  const GradientTarget<T> dx = n.grad_out(i);
+  T* const daffine = n.grad_in(i + 1);
+  if (!dx && daffine == nullptr) return;
   const BasicTensor<T>& x = n.inputs[i]->value;
   const Rows rows(x.shape());
   const NormRows<T> norm(n.inputs[i + 1] ? n.in(i + 1) : nullptr, rows.count);
   std::vector<double> sums(at(2 * rows.count * rows.chunks));
   const auto kernel = SATSURF_DISPATCH(norm_backward<T>);
   rows.each_chunk([&](Index row, Index k, Index begin, Index end) {
-    kernel(end - begin, x.data() + begin, dz + begin, norm[row], activation,
-           dx == nullptr ? nullptr : dx + begin, sums.data() + 2 * k);
+    kernel(end - begin, x.data() + begin, dz + begin, norm[row], activation, dx.accumulate,
+           dx ? dx.data + begin : nullptr, sums.data() + 2 * k);
   });
   if (daffine == nullptr) return;
   for (Index row = 0; row < rows.count; ++row) {

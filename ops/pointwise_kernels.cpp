@@ -189,7 +189,7 @@ void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activatio
 
 template <class T>
 void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                   T* d, double* sums) {
+                   bool accumulate, T* d, double* sums) {
   const Batch<T> centre(row.centre), scale(row.scale), shift(row.shift);
   PairSum<T> total;
   with_activation(activation, [&](const auto& act) {
@@ -202,10 +202,12 @@ void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activ
     };
     if (d == nullptr)
       each_batch<T>(n, [&](Index i, Index k) { slope(i, k); });
-    else
+    else if (accumulate)
       each_batch<T>(n, [&](Index i, Index k) {
         store(d + i, xsimd::fma(scale, slope(i, k), load(d + i, k)), k);
       });
+    else
+      each_batch<T>(n, [&](Index i, Index k) { store(d + i, scale * slope(i, k), k); });
   });
   total.result(sums);
 }
@@ -237,9 +239,9 @@ template void norm_apply(Index, const float*, const NormRow<float>&, Activation,
 template void norm_apply(Index, const double*, const NormRow<double>&, Activation, const double*,
                          double*);
 template void norm_backward(Index, const float*, const float*, const NormRow<float>&, Activation,
-                            float*, double*);
+                            bool, float*, double*);
 template void norm_backward(Index, const double*, const double*, const NormRow<double>&, Activation,
-                            double*, double*);
+                            bool, double*, double*);
 template void norm_add_linear(Index, const float*, const NormRow<float>&, float*);
 template void norm_add_linear(Index, const double*, const NormRow<double>&, double*);
 

@@ -13,10 +13,11 @@
 //   softplus_backward  d = g / (1 + exp(-x))
 //   norm_sums        sums[0] = sum(x - shift), sums[1] = sum((x - shift)^2)
 //   norm_apply       y = base + act(z), z = scale (x - centre) + shift; no base if nullptr
-//   norm_backward    dz = g act'(z), d += scale dz; sums[0] = sum(dz), sums[1] = sum(dz (x -
+//   norm_backward    dz = g act'(z), d = scale dz; sums[0] = sum(dz), sums[1] = sum(dz (x -
 //                    centre)); d may be nullptr
 //   norm_add_linear  d += z
-// With `accumulate`, d += instead of d =. Sums are taken in lanes of T for short runs and in double between them, in a fixed order.
+// With `accumulate`, d += instead of d =. Sums are taken in lanes of T for short runs and in double
+// between them, in a fixed order.
 
 namespace satsurf {
 
@@ -63,7 +64,7 @@ void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activatio
                 T* y);
 template <class T>
 void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                   T* d, double* sums);
+                   bool accumulate, T* d, double* sums);
 template <class T>
 void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
 }  // namespace isa_baseline
@@ -88,7 +89,7 @@ void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activatio
                 T* y);
 template <class T>
 void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                   T* d, double* sums);
+                   bool accumulate, T* d, double* sums);
 template <class T>
 void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
 }  // namespace isa_avx2
@@ -113,7 +114,7 @@ void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activatio
                 T* y);
 template <class T>
 void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                   T* d, double* sums);
+                   bool accumulate, T* d, double* sums);
 template <class T>
 void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
 }  // namespace isa_avx512

@@ -201,8 +201,13 @@ TEST_CASE_TEMPLATE("norm kernels of every instruction set", T, float, double) {
         k.norm_sums(n, x, T(0.25), sums);
         k.norm_apply(n, x, row, activation, nullptr, y.data());
         k.norm_apply(n, x, row, activation, sum.data(), sum.data());
-        k.norm_backward(n, x, g, row, activation, dx.data(), pair);
-        k.norm_backward(n, x, g, row, activation, nullptr, unused);
+        BasicTensor<T> stored({n + 1}, T(9));
+        k.norm_backward(n, x, g, row, activation, true, dx.data(), pair);
+        k.norm_backward(n, x, g, row, activation, false, stored.data(), unused);
+        k.norm_backward(n, x, g, row, activation, true, nullptr, unused);
+        CHECK(stored[n] == T(9));
+        for (Index i = 0; i < n; ++i)
+          CHECK(static_cast<double>(dx[i] - stored[i]) == doctest::Approx(9).epsilon(1e-5));
         k.norm_add_linear(n, x, row, line.data());
         CHECK(unused[0] == pair[0]);
         CHECK(unused[1] == pair[1]);
