@@ -88,7 +88,7 @@ void time_and_weigh(benchmark::State& state, const Cost& cost, const Work& work)
 }
 
 void cascade_infer(benchmark::State& state) {
-  const nn::Model model(nn::model_preset("base8"), 1);
+  const nn::Model model(nn::model_preset("cascade8"), 1);
   const auto scene = bench_scene(state.range(1));
   const NoGrad no_grad;
   time_and_weigh(state, model_cost(model.config(), state.range(0), state.range(1)),
@@ -96,7 +96,7 @@ void cascade_infer(benchmark::State& state) {
 }
 
 void features_infer(benchmark::State& state) {
-  const nn::ModelConfig config = nn::model_preset("base8");
+  const nn::ModelConfig config = nn::model_preset("cascade8");
   nn::ParameterSet<float> parameters(1);
   const nn::FeatureNet<float> features(parameters, config.base);
   const Index N = state.range(0), side = state.range(1);
@@ -110,7 +110,7 @@ void features_infer(benchmark::State& state) {
 /// One stage, from the features of all views to their surfels: step 2 to 4 of nn/model.cpp.
 void stage_infer(benchmark::State& state) {
   const std::size_t stage = static_cast<std::size_t>(state.range(1)) - 1;
-  const nn::ModelConfig config = nn::model_preset("base8");
+  const nn::ModelConfig config = nn::model_preset("cascade8");
   const Index N = state.range(0), stride = kStrides[stage], side = state.range(2) / stride,
               C = config.base * stride, D = config.hypotheses[stage];
   nn::ParameterSet<float> parameters(1);
@@ -139,7 +139,8 @@ void stage_infer(benchmark::State& state) {
     const Var raw =
         head(concat<float>({image, features, p, reshape(confidence, Shape{N, 1, side, side})}, 1));
     benchmark::DoNotOptimize(
-        nn::surfels_from_maps(raw, height, image.value(), confidence, geometry, true));
+        nn::surfels_from_maps(raw, height, image.value(), confidence, geometry,
+                              nn::Rotation::residual));
   };
   time_and_weigh(
       state, {.flop = 2 * number(N) * stage_multiply_adds(config, stage, number(state.range(2)))},
@@ -148,7 +149,7 @@ void stage_infer(benchmark::State& state) {
 
 /// Forward, losses at all stages, a rendered view, backward, update.
 void train_step(benchmark::State& state) {
-  nn::Model model(nn::model_preset("base8"), 1);
+  nn::Model model(nn::model_preset("cascade8"), 1);
   nn::AdamW adam(model.parameters(), {});
   const Index side = state.range(1);
   const auto scene = bench_scene(side);

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/fields.h"
 #include "satsurf/core/shape.h"
+#include "satsurf/nn/mono.h"
 
 #include <array>
 #include <string>
@@ -20,9 +21,17 @@ struct ModelConfig {
   double interval_min = 0.2;  ///< of the last stage, m
   double interval_max = 1.0;  ///< of the last stage, m
   bool variance_includes_reference = true;
-  std::string rotation = "camera+residual";  ///< camera | camera+residual
-  std::string fusion = "none";               ///< how monocular features join: none
-  std::string guidance = "none";             ///< how rendered heights guide the next stage: none
+  /// Surfel orientation: camera | camera+residual (of the head) | gradient (of the heights).
+  std::string rotation = "camera+residual";
+  std::string mono = "own";  ///< monocular branch: none | own (nn/mono.h)
+  MonoConfig mono_net{};
+  std::string fusion = "cmmf";         ///< how its features join: none | naive | cmmf (nn/fusion.h)
+  std::string fusion_start = "gated";  ///< of cmmf: paper | gated | additive
+  double fusion_lambda = 1;            ///< weight of the confidence in cmmf
+  double fusion_tau = 0.2;             ///< confidence that favours neither side
+  std::string guidance = "csrg";  ///< of a stage by the one before: none | csrg (nn/guidance.h)
+  std::string guidance_norm = "robust";  ///< robust | interval
+  std::string confidence = "floor";  ///< C as fusion reads it: raw | floor, (C - 1/D) / (1 - 1/D)
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -47,19 +56,41 @@ struct ModelConfig {
     v("variance_includes_reference", s.variance_includes_reference,
       Field{.help = "count the reference view's own feature in the variance"});
     v("rotation", s.rotation,
-      Field{.help = "surfel orientation", .choices = {"camera", "camera+residual"}});
+      Field{.help = "surfel orientation", .choices = {"camera", "camera+residual", "gradient"}});
+    v("mono", s.mono,
+      Field{.help = "branch that sees one image at a time", .choices = {"none", "own"}});
+    v("mono_net", s.mono_net, Field{.help = "the monocular network"});
     v("fusion", s.fusion,
-      Field{.help = "how monocular features join the matching features", .choices = {"none"}});
+      Field{.help = "how monocular features join the matching features",
+            .choices = {"none", "naive", "cmmf"}});
+    v("fusion_start", s.fusion_start,
+      Field{.help = "what cmmf is before training", .choices = {"paper", "gated", "additive"}});
+    v("fusion_lambda", s.fusion_lambda,
+      Field{.help = "weight of the confidence in cmmf", .min = 0, .max = 100});
+    v("fusion_tau", s.fusion_tau,
+      Field{.help = "confidence at which cmmf favours neither side", .min = 0, .max = 1});
     v("guidance", s.guidance,
-      Field{.help = "how rendered heights guide the next stage", .choices = {"none"}});
+      Field{.help = "how rendered heights guide the next stage", .choices = {"none", "csrg"}});
+    v("guidance_norm", s.guidance_norm,
+      Field{.help = "how they are compared with the stage's own",
+            .choices = {"robust", "interval"}});
+    v("confidence", s.confidence,
+      Field{.help = "confidence that fusion and loss routing read", .choices = {"raw", "floor"}});
   }
 
   friend bool operator==(const ModelConfig&, const ModelConfig&) = default;
 };
 
-/// Named configurations: tiny (tests), base8 (shipped weights), base16 (larger).
+/// Named configurations:
+///   tiny, tiny_full  for tests, as cascade8 and as base8
+///   base8            the whole method
+///   base16           the same with twice the channels
+///   cascade8         base8 without monocular branch, fusion and guidance
+///   paper            base8 with the published choices where the defaults are others
 /// throws  ConfigError naming the presets there are
 ModelConfig model_preset(const std::string& name);
+/// Their names, for texts.
+std::string model_preset_names();
 
 /// Pixel sizes must be multiples of this: the coarsest stride times the U-Net's halvings.
 Index size_multiple(const ModelConfig& config);

@@ -4,6 +4,8 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/cost_net.h"
 #include "satsurf/nn/feature_net.h"
+#include "satsurf/nn/fusion.h"
+#include "satsurf/nn/guidance.h"
 #include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
@@ -13,40 +15,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 namespace satsurf::nn {
 namespace {
 
 constexpr std::array<Index, 3> kStrides{4, 2, 1};
-
-/// [1 3 H W]: an image by its own mean and deviation over valid pixels, for dates differ in
-/// radiometry. Invalid pixels become 0.
-template <class T>
-BasicTensor<T> standardised(const View& v) {
-  const Index H = v.rgb.dim(1), W = v.rgb.dim(2), P = H * W;
-  double sum = 0, squares = 0, count = 0;
-  for (Index c = 0; c < 3; ++c)
-    for (Index i = 0; i < P; ++i) {
-      const double x = static_cast<double>(v.rgb[c * P + i]);
-      if (v.valid[i] <= 0) continue;
-      sum += x;
-      squares += x * x;
-      count += 1;
-    }
-  const double mean = count > 0 ? sum / count : 0;
-  const double variance = count > 0 ? std::max(squares / count - mean * mean, 0.0) : 0;
-  // an image without contrast stays near zero instead of amplifying its noise
-  constexpr double kFlat = 1e-3;
-  const double inverse = 1 / (std::sqrt(variance) + kFlat);
-  auto out = BasicTensor<T>::uninitialised({1, 3, H, W});
-  for_each_index(3 * H, [&](Index row) {
-    for (Index i = row * W; i < (row + 1) * W; ++i)
-      out[i] = v.valid[i % P] > 0 ? static_cast<T>((static_cast<double>(v.rgb[i]) - mean) * inverse)
-                                  : T(0);
-  });
-  return out;
-}
 
 /// One tensor [N ...] of a plane stack of every view.
 template <class T>
@@ -86,6 +61,12 @@ void check(const ModelConfig& config, const SceneInput& scene) {
                       std::to_string(scene.z_high) + ", expected a positive span");
 }
 
+Rotation rotation_of(const ModelConfig& config) {
+  return config.rotation == "camera"     ? Rotation::camera
+         : config.rotation == "gradient" ? Rotation::gradient
+                                         : Rotation::residual;
+}
+
 /// Notes the most tensor bytes of one part after the other, beyond those at its construction.
 class MemoryMeter {
  public:
@@ -116,28 +97,89 @@ class MemoryMeter {
 }  // namespace
 
 template <class T>
+BasicTensor<T> effective_confidence(const ModelConfig& config, const StageOutput<T>& stage) {
+  if (config.confidence == "raw") return stage.confidence.value();
+  const T floor = T(1) / static_cast<T>(stage.hypotheses.dim(1));
+  BasicTensor<T> out = stage.confidence.value().clone();
+  for (T& c : out.values()) c = (c - floor) / (T(1) - floor);
+  return out;
+}
+
+template <class T>
 struct BasicModel<T>::Parts {
   /// The parameters of one stage.
   struct Stage {
     CostNet<T> cost;
     SurfelHead<T> head;
+    std::optional<FeatureFusion<T>> fusion;
+    std::optional<Guidance<T>> guidance;
   };
 
   Parts(const ModelConfig& c, std::uint64_t seed)
       : config(c), parameters(seed), features(parameters, c.base) {
+    if (config.mono != "none") mono.emplace(parameters, "mono", config.mono_net);
     for (std::size_t s = 0; s < 3; ++s) {
       const std::string name = "stage" + std::to_string(s + 1);
       const Index channels = config.base * kStrides[s],
                   head_in = 3 + channels + config.hypotheses[s] + 1;
       stages.push_back({CostNet<T>(parameters, name + ".cost", channels, config.volume_base,
                                    config.volume_levels),
-                        SurfelHead<T>(parameters, name + ".head", head_in, config.head_width[s])});
+                        SurfelHead<T>(parameters, name + ".head", head_in, config.head_width[s]),
+                        {},
+                        {}});
+      if (s == 0) continue;
+      const Index mono_channels = !mono    ? 0
+                                  : s == 1 ? mono->half_channels()
+                                           : mono->full_channels();
+      if (config.fusion != "none")
+        stages[s].fusion.emplace(parameters, name + ".fusion", config, channels, mono_channels);
+      if (config.guidance != "none")
+        stages[s].guidance.emplace(parameters, name + ".guidance", head_in - 1);
     }
+  }
+
+  /// Features of one stage with those of the monocular branch, where the configuration joins them.
+  BasicVar<T> fused(std::size_t s, const BasicVar<T>& x, const BasicVar<T>& tap,
+                    const StageOutput<T>& previous) const {
+    if (!stages[s].fusion) return x;
+    const Index views = x.dim(0), h = x.dim(2), w = x.dim(3);
+    BasicTensor<T> confidence;
+    {
+      const NoGrad no_grad;
+      confidence =
+          resize_bilinear(BasicVar<T>(effective_confidence(config, previous)), h, w).value();
+    }
+    std::vector<BasicVar<T>> parts;  // view by view: what is in between is large
+    for (Index i = 0; i < views; ++i)
+      parts.push_back((*stages[s].fusion)(slice(x, 0, i, i + 1),
+                                          tap.empty() ? tap : slice(tap, 0, i, i + 1),
+                                          confidence.slice0(i).reshaped({1, h, w})));
+    return concat(parts, 0);
+  }
+
+  /// What the surface of the stage before says about the heights of this one in every source view.
+  BasicTensor<T> residual(const SceneInput& scene, const StageOutput<T>& stage,
+                          const StageOutput<T>& previous, const BasicTensor<T>& valid) const {
+    const NoGrad no_grad;
+    std::vector<BasicVar<T>> heights, alphas;
+    for (const View& view : scene.sources) {
+      const auto render = render_view(previous.surfels, view.pixel_from_local, view.rgb.dim(1),
+                                      view.rgb.dim(2), previous.stride);
+      const Shape one{1, render.alpha.dim(0), render.alpha.dim(1)};
+      heights.push_back(reshape(render.height, one));
+      alphas.push_back(reshape(render.alpha, one));
+    }
+    return guidance_residual(
+        stage.height.value(), stage.confidence.value(), valid, concat(heights, 0).value(),
+        concat(alphas, 0).value(),
+        config.guidance_norm == "interval" ? GuidanceNorm::interval : GuidanceNorm::robust,
+        stage.interval);
   }
 
   ModelConfig config;
   ParameterSet<T> parameters;
   FeatureNet<T> features;
+  std::optional<MonoNet<T>> mono;
   std::vector<Stage> stages;
 };
 
@@ -188,14 +230,26 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
   MemoryMeter meter(memory);
 
   // Views pass through the 2D nets one after the other: that takes a third of the memory.
-  std::array<std::vector<BasicVar<T>>, 3> levels;
+  std::array<std::vector<BasicVar<T>>, 3> levels, mono;  // mono: heights, taps of stages 2 and 3
   for (const View& v : scene.sources) {
     polled();
-    const auto features = parts_->features(BasicVar<T>(standardised<T>(v)));
+    const BasicVar<T> image(standardised<T>(v));
+    const auto features = parts_->features(image);
     for (std::size_t s = 0; s < 3; ++s) levels[s].push_back(features[s]);
+    if (!parts_->mono) continue;
+    polled();
+    const NoGrad no_grad;  // the branch is trained by itself
+    const MonoOutput<T> seen = (*parts_->mono)(image);
+    mono[0].push_back(seen.height);
+    if (config.fusion == "none") continue;
+    mono[1].push_back(seen.tap_half);
+    mono[2].push_back(seen.tap_full);
   }
-  std::array<BasicVar<T>, 3> pyramid;
-  for (std::size_t s = 0; s < 3; ++s) pyramid[s] = concat(std::exchange(levels[s], {}), 0);
+  std::array<BasicVar<T>, 3> pyramid, taps;
+  for (std::size_t s = 0; s < 3; ++s) {
+    pyramid[s] = concat(std::exchange(levels[s], {}), 0);
+    if (!mono[s].empty()) taps[s] = concat(std::exchange(mono[s], {}), 0);
+  }
   const BasicVar<T> images(stacked<T>(scene.sources, &View::rgb));
   const BasicVar<T> valid(stacked<T>(scene.sources, &View::valid));
   meter.end("features");
@@ -218,6 +272,13 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
       const double margin = 2 * intervals[s];
       stage.hypotheses = narrowed_hypotheses(centre.value(), intervals[s], D, scene.z_low - margin,
                                              scene.z_high + margin);
+    }
+
+    if (!taps[0].empty())
+      stage.mono_height = (stride == 1 ? taps[0] : area_downsample(taps[0], stride)).value();
+    if (s > 0) {
+      pyramid[s] = parts_->fused(s, pyramid[s], taps[s], out[s - 1]);
+      taps[s] = {};
     }
 
     // 2. Every view in turn is the reference: variance volume, regularisation, logits.
@@ -248,20 +309,28 @@ std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
 
     // 4. One surfel per pixel.
     const BasicVar<T> image = stride == 1 ? images : area_downsample(images, stride);
+    const auto& guidance = parts_->stages[s].guidance;
+    BasicVar<T> residual;
+    if (guidance) residual = BasicVar<T>(parts_->residual(scene, stage, out[s - 1], seen));
     std::vector<BasicVar<T>> raw;
     for (Index i = 0; i < views; ++i) {
       polled();
       const auto of_view = [i](const BasicVar<T>& x) { return slice(x, 0, i, i + 1); };
-      raw.push_back(parts_->stages[s].head(
-          concat<T>({of_view(image), of_view(pyramid[s]), of_view(stage.probability),
-                     reshape(of_view(stage.confidence), Shape{1, 1, h, w})},
-                    1)));
+      const BasicVar<T> confidence = reshape(of_view(stage.confidence), Shape{1, 1, h, w});
+      std::vector<BasicVar<T>> input{of_view(image), of_view(pyramid[s]),
+                                     of_view(stage.probability)};
+      if (guidance) {
+        const BasicVar<T> plain = concat(std::exchange(input, {}), 1);
+        input.push_back((*guidance)(plain, of_view(residual)));
+      }
+      input.push_back(confidence);
+      raw.push_back(parts_->stages[s].head(concat(input, 1)));
     }
     std::vector<PixelGeometry> geometry;
     for (const View& v : scene.sources) geometry.push_back(pixel_geometry(v, z_mid, stride));
     const BasicVar<T> all_raw = concat(std::exchange(raw, {}), 0);
     stage.surfels = surfels_from_maps(all_raw, stage.height, image.value(), stage.confidence,
-                                      geometry, config.rotation == "camera+residual");
+                                      geometry, rotation_of(config));
     meter.end("heads " + std::to_string(s + 1));
   }
   return out;
@@ -280,15 +349,21 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
   };
   // The last view's features are made beside those of the others: at full resolution a sum of two
   // terms of 4 b channels, from three maps of b, b / 2 and b / 4 and what is kept of them.
-  add("features", (N - 1) * 1.75 * b + 10.75 * b + 3);
-  double kept = N * (1.75 * b + 3 + 1);  // features, images, validity
+  const bool mono = config.mono != "none", fusion = mono && config.fusion != "none";
+  const double m = static_cast<double>(config.mono_net.base);
+  std::array<double, 3> taps{mono ? 1.0 : 0, fusion ? 0.5 * m : 0, fusion ? m : 0};
+  const double all_taps = taps[0] + taps[1] + taps[2];
+  add("features", (N - 1) * (1.75 * b + all_taps) + 10.75 * b + 3);
+  double kept = N * (1.75 * b + all_taps + 3 + 1);  // features, monocular ones, images, validity
   for (std::size_t s = 0; s < 3; ++s) {
     const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);
     const double C = static_cast<double>(config.base * kStrides[s]);
     const double D = static_cast<double>(config.hypotheses[s]);
     const double w = static_cast<double>(config.head_width[s]);
     const std::string stage = " " + std::to_string(s + 1);
-    kept += N * p * D;  // hypotheses
+    if (s > 0) kept -= N * taps[s];  // fused
+    kept += N * p * D;               // hypotheses
+    if (mono && s < 2) kept += N * p;
     // One view's volume and what the first convolution makes of it, or the sum at the U-Net's end;
     // then logits, their concatenation and the probabilities of all views.
     const double scratch = std::min(kScratch * threads(), 0.25 * D * p * v * pixels) / pixels;
@@ -323,6 +398,8 @@ splat::BasicRender<T> render_view(const splat::BasicSurfels<T>& surfels,
                           {.height = height / stride, .width = width / stride});
 }
 
+template BasicTensor<float> effective_confidence(const ModelConfig&, const StageOutput<float>&);
+template BasicTensor<double> effective_confidence(const ModelConfig&, const StageOutput<double>&);
 template class BasicModel<float>;
 template class BasicModel<double>;
 template splat::BasicRender<float> render_view(const splat::BasicSurfels<float>&, const Quadratic&,

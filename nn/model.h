@@ -25,7 +25,10 @@ struct StageOutput {
   BasicVar<T> height;              ///< [N h w] expected height H_s, m in the local frame
   BasicVar<T> confidence;          ///< [N h w] max probability C_s
   splat::BasicSurfels<T> surfels;  ///< N*h*w pixel-aligned surfels; aux channel 0 is the confidence
+  BasicTensor<T> mono_height;      ///< [N h w] of the monocular branch, relative; empty without one
 };
+
+inline constexpr const char* kMonoPrefix = "mono.";
 
 /// Most bytes in tensors at one time during one part of a forward pass, its results and what earlier
 /// parts left behind included, the scene not.
@@ -33,6 +36,11 @@ struct PartMemory {
   std::string part;  ///< "features", "volumes 1", "heads 1", "volumes 2", ..
   double bytes = 0;
 };
+
+/// A stage's confidence as fusion and loss routing read it: C itself, or with the floor taken off
+/// that equal probabilities have, (C - 1/D) / (1 - 1/D).
+template <class T>
+BasicTensor<T> effective_confidence(const ModelConfig& config, const StageOutput<T>& stage);
 
 /// The three-stage coarse-to-fine cascade.
 template <class T>
@@ -46,6 +54,7 @@ class BasicModel {
   BasicModel& operator=(BasicModel&&) noexcept;
 
   const ModelConfig& config() const;
+  /// Those of the monocular branch begin with `kMonoPrefix`; no gradient reaches them.
   ParameterSet<T>& parameters();
   const ParameterSet<T>& parameters() const;
 

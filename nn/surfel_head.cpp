@@ -7,7 +7,10 @@
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/rpc/fit.h"
 
+#include <algorithm>
 #include <cmath>
+
+#include <Eigen/Geometry>
 
 namespace satsurf::nn {
 namespace {
@@ -26,6 +29,37 @@ double sigmoid_of(double x) {
 std::array<std::array<double, 4>, 4> left_product(const std::array<double, 4>& q) {
   const auto [w, x, y, z] = q;
   return {{{w, -x, -y, -z}, {x, w, -z, y}, {y, z, w, -x}, {z, -y, x, w}}};
+}
+
+/// Slope of the heights along one axis: half the difference of the neighbours, of the pixel itself
+/// in place of one that is missing.
+double slope_of(double before, double after, bool first, bool last) {
+  return (after - before) / (first || last ? 1 : 2);
+}
+
+/// The frame of a pixel's tangents dmu/dx and dmu/dy, made orthogonal from the first on; the camera's
+/// where they are parallel.
+template <class T>
+std::array<double, 4> surface_quat(const PixelGeometry& g, const T* height, Index H, Index W,
+                                   Index y, Index x) {
+  const auto z = [&](Index row, Index column) {
+    return static_cast<double>(
+        height[std::clamp<Index>(row, 0, H - 1) * W + std::clamp<Index>(column, 0, W - 1)]);
+  };
+  const double zx = slope_of(z(y, x - 1), z(y, x + 1), x == 0, x == W - 1);
+  const double zy = slope_of(z(y - 1, x), z(y + 1, x), y == 0, y == H - 1);
+  const auto j =
+      g.local_from_pixel.jacobian(static_cast<double>(x), static_cast<double>(y), z(y, x));
+  const Eigen::Vector3d u(j[0][0] + j[0][2] * zx, j[1][0] + j[1][2] * zx, zx);
+  const Eigen::Vector3d v(j[0][1] + j[0][2] * zy, j[1][1] + j[1][2] * zy, zy);
+  const Eigen::Vector3d normal = u.cross(v);
+  if (!(normal.norm() > 1e-9 * u.norm() * v.norm())) return g.quat;
+  Eigen::Matrix3d frame;
+  frame.col(0) = u.normalized();
+  frame.col(2) = normal.normalized();
+  frame.col(1) = frame.col(2).cross(frame.col(0));
+  const Eigen::Quaterniond q(frame);
+  return {q.w(), q.x(), q.y(), q.z()};
 }
 
 }  // namespace
@@ -62,7 +96,7 @@ template <class T>
 splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<T>& height,
                                          const BasicTensor<T>& image, const BasicVar<T>& confidence,
                                          const std::vector<PixelGeometry>& geometry,
-                                         bool residual_rotation) {
+                                         Rotation rotation) {
   Dims dim("surfels_from_maps");
   dim.match("raw", raw, "N 10 H W")
       .match("height", height, "N H W")
@@ -90,9 +124,12 @@ splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<
       o[2] = static_cast<T>(z);
       const double residual[4] = {1 + static_cast<double>(r[2 * P]), static_cast<double>(r[3 * P]),
                                   static_cast<double>(r[4 * P]), static_cast<double>(r[5 * P])};
+      const auto along = rotation == Rotation::gradient
+                             ? surface_quat(g, height.value().data() + n * P, H, W, y, x)
+                             : g.quat;
       for (std::size_t k = 0; k < 4; ++k) {
-        double q = g.quat[k];
-        if (residual_rotation) {
+        double q = along[k];
+        if (rotation == Rotation::residual) {
           q = 0;
           for (std::size_t l = 0; l < 4; ++l) q += product[k][l] * residual[l];
         }
@@ -134,7 +171,7 @@ splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<
                   (static_cast<double>(o[7 + k]) / g.footprint - kScaleLow) / kScaleSpan;
               d[k * P] += static_cast<T>(g.footprint * kScaleSpan * sigma * (1 - sigma)) * u[7 + k];
             }
-            if (residual_rotation)
+            if (rotation == Rotation::residual)
               for (std::size_t l = 0; l < 4; ++l) {
                 T sum = 0;
                 for (std::size_t k = 0; k < 4; ++k) sum += static_cast<T>(product[k][l]) * u[3 + k];
@@ -162,11 +199,11 @@ template splat::BasicSurfels<float> surfels_from_maps(const BasicVar<float>&,
                                                       const BasicVar<float>&,
                                                       const BasicTensor<float>&,
                                                       const BasicVar<float>&,
-                                                      const std::vector<PixelGeometry>&, bool);
+                                                      const std::vector<PixelGeometry>&, Rotation);
 template splat::BasicSurfels<double> surfels_from_maps(const BasicVar<double>&,
                                                        const BasicVar<double>&,
                                                        const BasicTensor<double>&,
                                                        const BasicVar<double>&,
-                                                       const std::vector<PixelGeometry>&, bool);
+                                                       const std::vector<PixelGeometry>&, Rotation);
 
 }  // namespace satsurf::nn

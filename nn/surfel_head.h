@@ -43,10 +43,18 @@ class SurfelHead {
   BasicVar<T> weight_, bias_;
 };
 
+/// Which way surfels face.
+enum class Rotation {
+  camera,    ///< all towards the camera
+  residual,  ///< as the head turns them from there
+  gradient   ///< along the surface: tangents are the neighbours' differences, without gradients
+};
+
 /// One surfel per pixel from raw attributes and heights:
 ///   mu      = localisation(pixel centre, H)
 ///   scale   = footprint (0.1 + 2.9 sigmoid(r0..1))
-///   q       = q_view (x) (1 + r2, r3, r4, r5), or q_view alone
+///   q       = q_view (x) (1 + r2, r3, r4, r5), or q_view alone, or that of the frame of dmu/dx and
+///             dmu/dy, orthogonal from dmu/dx on
 ///   opacity = sigmoid(r6)
 ///   colour  = image + r7..9
 /// dL/dH = v . dL/dmu with v the ground displacement along the ray per metre (v_z = 1).
@@ -55,13 +63,13 @@ class SurfelHead {
 /// image              [N 3 H W]
 /// confidence         [N H W], becomes auxiliary channel 0
 /// geometry           N cameras at this resolution
-/// residual_rotation  false: q_view alone
+/// rotation           where q comes from
 /// returns            N*H*W surfels in the local frame
 /// throws             ShapeError
 template <class T>
 splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<T>& height,
                                          const BasicTensor<T>& image, const BasicVar<T>& confidence,
                                          const std::vector<PixelGeometry>& geometry,
-                                         bool residual_rotation);
+                                         Rotation rotation);
 
 }  // namespace satsurf::nn

@@ -72,6 +72,7 @@ TEST_CASE("the memory of a forward pass is known before, part by part") {
     CHECK(static_cast<double>(peak_tensor_bytes()) == before + most);  // measuring hides nothing
   };
   for (const std::size_t views : {2, 3, 5}) check("tiny", views, 256);
+  check("tiny_full", 3, 256);
   check("base8", 3, 192);
 }
 
@@ -122,30 +123,45 @@ TEST_CASE("stages have the promised shapes, ranges and normalisation") {
   CHECK(stages[2].interval < stages[1].interval);
 }
 
+namespace {
+
+/// A model whose layers that start at zero have small random values, so that everything below them
+/// is reached.
+nn::BasicModel<double> awake(const nn::ModelConfig& config, Rng& rng) {
+  nn::BasicModel<double> model(config, 3);
+  for (const auto& e : model.parameters().entries()) {
+    const auto ends = [&](const char* text) { return e.name.ends_with(text); };
+    if (!ends("head.out.weight") && !ends("guidance.residual2.weight") &&
+        !ends("fusion.value_mono.weight") && !ends("fusion.query.weight"))
+      continue;
+    BasicVar<double> v = e.var;
+    for (double& x : v.mutable_value().values()) x = 0.05 * rng.normal();
+  }
+  return model;
+}
+
+/// Everything a stage hands on but rendered maps: cut-offs of the splatter and the median make those
+/// discontinuous; its own tests check it smoothly.
+BasicVar<double> smooth_objective(const nn::BasicModel<double>& model,
+                                  const nn::SceneInput& scene) {
+  BasicVar<double> total;
+  for (const auto& s : model.forward(scene)) {
+    const auto& g = s.surfels;
+    const BasicVar<double> term = mean(s.height * s.height) + mean(g.means * g.means) +
+                                  mean(g.quats * g.quats) + mean(g.scales) + mean(g.opacity) +
+                                  mean(g.colours * g.colours);
+    total = total.empty() ? term : total + term;
+  }
+  return total;
+}
+
+}  // namespace
+
 TEST_CASE("whole-model gradient in double") {
-  nn::BasicModel<double> model(nn::model_preset("tiny"), 3);
-  // Small random values where a layer starts at zero, so that everything below it is reached.
   Rng rng(5);
-  for (const auto& e : model.parameters().entries())
-    if (e.name.ends_with("head.out.weight")) {
-      BasicVar<double> v = e.var;
-      for (double& x : v.mutable_value().values()) x = 0.05 * rng.normal();
-    }
+  const auto model = awake(nn::model_preset("tiny"), rng);
   const auto scene = hill(16);
-  const auto heights_only = [&] {
-    // Cut-offs of the splatter and the median make rendered maps discontinuous; its own tests check
-    // it smoothly.
-    const auto stages = model.forward(scene);
-    BasicVar<double> total;
-    for (const auto& s : stages) {
-      const auto& g = s.surfels;
-      const BasicVar<double> term = mean(s.height * s.height) + mean(g.means * g.means) +
-                                    mean(g.quats * g.quats) + mean(g.scales) + mean(g.opacity) +
-                                    mean(g.colours * g.colours);
-      total = total.empty() ? term : total + term;
-    }
-    return total;
-  };
+  const auto heights_only = [&] { return smooth_objective(model, scene); };
   heights_only().backward();
   Index checked = 0;
   for (const auto& e : model.parameters().entries()) {
@@ -171,16 +187,95 @@ TEST_CASE("whole-model gradient in double") {
   CHECK(checked > 10);
 }
 
+TEST_CASE("gradients of fusion and guidance reach the last stage's parameters in double") {
+  for (const std::string start : {"paper", "gated", "additive", "naive", "guidance"}) {
+    CAPTURE(start);
+    nn::ModelConfig config = nn::model_preset("tiny_full");
+    if (start == "guidance" || start == "naive")
+      config.fusion = start == "naive" ? "naive" : "none";
+    else
+      config.fusion_start = start;
+    // Guidance reads heights without a gradient: that path is cut by design.
+    if (start != "guidance") config.guidance = "none";
+    Rng rng(6);
+    const auto model = awake(config, rng);
+    const auto scene = hill(32);
+    smooth_objective(model, scene).backward();
+    Index checked = 0;
+    for (const auto& e : model.parameters().entries()) {
+      // What earlier stages tell later ones carries no gradient by design.
+      if (!e.name.starts_with("stage3.fusion") && !e.name.starts_with("stage3.guidance")) continue;
+      CAPTURE(e.name);
+      BasicVar<double> v = e.var;
+      REQUIRE(!v.grad().empty());
+      const Index i = rng.below(v.count());
+      const double saved = v.value()[i], h = 1e-6;
+      const NoGrad no_grad;
+      v.mutable_value()[i] = saved + h;
+      const double up = smooth_objective(model, scene).value().item();
+      v.mutable_value()[i] = saved - h;
+      const double down = smooth_objective(model, scene).value().item();
+      v.mutable_value()[i] = saved;
+      const double numeric = (up - down) / (2 * h), analytic = v.grad()[i];
+      CHECK(std::abs(numeric - analytic) <
+            3e-6 * std::max({1.0, std::abs(numeric), std::abs(analytic)}));
+      ++checked;
+    }
+    CHECK(checked >= (start == "naive" ? 2 : 8));
+  }
+}
+
+TEST_CASE("fusion and guidance start as identities in the default configuration") {
+  const auto scene = hill(32);
+  const NoGrad no_grad;
+  // The same seed gives parameters of the same name the same values.
+  nn::ModelConfig with = nn::model_preset("tiny_full"), without = with;
+  without.fusion = without.guidance = "none";
+  const auto difference = [&](const nn::ModelConfig& a, const nn::ModelConfig& b) {
+    const auto x = nn::BasicModel<double>(a, 1).forward(scene),
+               y = nn::BasicModel<double>(b, 1).forward(scene);
+    double worst = 0;
+    for (std::size_t s = 0; s < 3; ++s)
+      for (const auto& [u, v] :
+           {std::pair{x[s].height.value(), y[s].height.value()},
+            std::pair{x[s].surfels.scales.value(), y[s].surfels.scales.value()},
+            std::pair{x[s].surfels.colours.value(), y[s].surfels.colours.value()}})
+        for (Index i = 0; i < u.count(); ++i) worst = std::max(worst, std::abs(u[i] - v[i]));
+    return worst;
+  };
+  CHECK(nn::ModelConfig{}.fusion == "cmmf");
+  CHECK(nn::ModelConfig{}.fusion_start == "gated");
+  CHECK(nn::ModelConfig{}.guidance == "csrg");
+  auto guided = without;
+  guided.guidance = "csrg";
+  CHECK(difference(guided, without) == 0);
+  auto additive = with;
+  additive.fusion_start = "additive";
+  CHECK(difference(additive, without) < 1e-9);
+  CHECK(difference(with, without) < 0.2);  // m: features 3 % smaller change heights by little
+  auto paper = with;
+  paper.fusion_start = "paper";
+  CHECK(difference(paper, without) > 0.2);
+}
+
 TEST_CASE("every parameter receives a gradient") {
-  const nn::BasicModel<float> model(nn::model_preset("tiny"), 1);
-  objective(model, hill()).backward();
-  for (const auto& e : model.parameters().entries()) {
-    double sum = 0;
-    for (const float g : e.var.grad().values()) sum += std::abs(static_cast<double>(g));
-    // Only the layers above a zero-initialised one start without a gradient.
-    const bool behind_zero =
-        e.name.find(".head.") != std::string::npos && e.name.find(".out.") == std::string::npos;
-    CHECK_MESSAGE((behind_zero || sum > 0), e.name);
+  for (const char* preset : {"tiny", "tiny_full"}) {
+    const nn::BasicModel<float> model(nn::model_preset(preset), 1);
+    objective(model, hill()).backward();
+    for (const auto& e : model.parameters().entries()) {
+      double sum = 0;
+      if (e.name.starts_with(nn::kMonoPrefix)) {
+        CHECK(e.var.grad().empty());
+        continue;
+      }
+      for (const float g : e.var.grad().values()) sum += std::abs(static_cast<double>(g));
+      // Only the layers above a zero-initialised one start without a gradient.
+      const bool behind_zero = (e.name.find(".head.") != std::string::npos &&
+                                e.name.find(".out.") == std::string::npos) ||
+                               e.name.find(".guidance.") != std::string::npos ||
+                               e.name.find(".fusion.key_") != std::string::npos;
+      CHECK_MESSAGE((behind_zero || sum > 0), e.name);
+    }
   }
 }
 
@@ -230,6 +325,8 @@ TEST_CASE("wrong inputs are refused by name") {
   scene.sources.resize(1);
   CHECK_THROWS_WITH_AS(model.forward(scene), "model: 1 source views, expected two or more",
                        ShapeError);
-  CHECK_THROWS_WITH_AS(nn::model_preset("huge"), "preset: 'huge', expected tiny, base8 or base16",
-                       ConfigError);
+  CHECK_THROWS_WITH_AS(
+      nn::model_preset("huge"),
+      "preset: 'huge', expected one of tiny, tiny_full, base8, base16, cascade8, paper",
+      ConfigError);
 }

@@ -125,18 +125,19 @@ TEST_CASE("surfels of pixels: gradients and meaning") {
   const auto raw = normal({2, 10, 2, 2}, 3, 0.3), height = normal({2, 2, 2}, 4),
              conf = normal({2, 2, 2}, 5);
   const auto image = normal({2, 3, 2, 2}, 6);
-  for (const bool residual : {true, false}) {
-    CAPTURE(residual);
+  for (const nn::Rotation rotation : {nn::Rotation::residual, nn::Rotation::camera}) {
+    CAPTURE(static_cast<int>(rotation));
     CHECK(gradcheck(
         [&](const DoubleVars& v) {
-          const auto s = nn::surfels_from_maps(v[0], v[1], image, v[2], geometry, residual);
+          const auto s = nn::surfels_from_maps(v[0], v[1], image, v[2], geometry, rotation);
           return concat<double>(
               {s.means, s.quats, s.scales, reshape(s.opacity, Shape{8, 1}), s.colours, s.aux}, 1);
         },
         {raw, height, conf}));
   }
   const auto s = nn::surfels_from_maps(BasicVar<double>(raw), BasicVar<double>(height), image,
-                                       BasicVar<double>(conf), geometry, true);
+                                       BasicVar<double>(conf), geometry,
+                                       nn::Rotation::residual);
   for (Index i = 0; i < 8; ++i) {  // a surfel's centre projects onto its own pixel
     const double* m = s.means.value().data() + 3 * i;
     const auto p = rescale_pixels(scene.sources[static_cast<std::size_t>(i / 4)].pixel_from_local,

@@ -98,7 +98,7 @@ TEST_CASE("training lowers the error on samples it has not seen") {
     double sum = 0;
     for (Index k = 0; k < 12; ++k) {
       const Crop crop = training_sample(config, scenes, 99, k);
-      sum += training_loss(config, model.forward(crop.input), crop).height_mae / 12;
+      sum += training_loss(config, model.config(), model.forward(crop.input), crop).height_mae / 12;
     }
     return sum;
   };
@@ -155,19 +155,52 @@ TEST_CASE("samples are a function of seed and step, and loss terms of their swit
   };
   CHECK(pixels(a) == pixels(b));
   CHECK(pixels(a) != pixels(c));
+  config.model = nn::model_preset("tiny_full");
   const nn::Model model(config.model, 1);
   const auto stages = model.forward(a.input);
-  const double all = static_cast<double>(training_loss(config, stages, a).total.value().item());
-  config.colour_weight = 0;
-  const double no_colour =
-      static_cast<double>(training_loss(config, stages, a).total.value().item());
-  config.render_height_weight = 0;
-  const double heights = static_cast<double>(training_loss(config, stages, a).total.value().item());
-  CHECK(all > no_colour);
-  CHECK(no_colour > heights);
-  config.height_weight = 2;
-  CHECK(static_cast<double>(training_loss(config, stages, a).total.value().item()) ==
-        doctest::Approx(2 * heights));
+  const auto total = [&](const LossConfig& of, const LossContext& context = {}) {
+    return static_cast<double>(
+        training_loss(of, config.model, stages, a, context).total.value().item());
+  };
+  // Every term counts, and the heights' alone are proportional to their weight.
+  LossConfig terms = config;
+  double before = total(terms);
+  for (double LossConfig::*term : {&LossConfig::colour_weight, &LossConfig::ssim_weight,
+                                   &LossConfig::geo_weight, &LossConfig::render_height_weight}) {
+    terms.*term = 0;
+    const double after = total(terms);
+    CHECK(after < before);
+    before = after;
+  }
+  terms.height_weight = 2;
+  CHECK(total(terms) == doctest::Approx(2 * before));
+
+  // Appearance alone: all pixels while it warms up, only the confident ones after; and what is not
+  // confident goes to geometry.
+  LossConfig appearance = terms;
+  appearance.height_weight = 0;
+  appearance.colour_weight = 1;
+  LossConfig geometry = terms;
+  geometry.height_weight = 0;
+  geometry.geo_weight = 1;
+  LossConfig none = appearance;
+  none.routing = "none";
+  const LossContext warm{.step = 5, .seed = 3}, late{.step = 100'000, .seed = 3};
+  CHECK(total(appearance, warm) == doctest::Approx(total(none, late)));
+  CHECK(total(appearance, late) < 0.9 * total(none, late));
+  const double routed = total(geometry, late);
+  geometry.routing = "none";
+  CHECK(routed <= total(geometry, late));
+  CHECK(routed > 0);
+  geometry.geo_target = "dsm";
+  const double dsm = total(geometry, late);
+  geometry.geo_target = "mono";
+  const double mono = total(geometry, late);
+  geometry.geo_target = "both";
+  CHECK(total(geometry, late) == doctest::Approx(dsm + mono));
+  CHECK(total(geometry, {.step = 100'001, .seed = 3}) != total(geometry, late));  // other patches
+  geometry.geo_weight = 0;
+  CHECK_THROWS_AS(total(geometry, late), Error);
 }
 
 TEST_CASE("resuming with another configuration or seed is refused") {

@@ -23,7 +23,7 @@ nn::Model model_from(const TensorFile& file, const std::string& where) {
   if (format == file.metadata.end() || format->second != kFormat || config == file.metadata.end())
     throw IoError(where + ": not a satsurf model, expected metadata format = " + kFormat +
                   " and its configuration");
-  nn::ModelConfig c;
+  nn::ModelConfig c = nn::model_preset("cascade8");  // all there was when names were fewer
   try {  // here a wrong configuration is a damaged file, not wrong usage
     from_json(parse_json(config->second, where), c, where);
   } catch (const ConfigError& e) {

@@ -1,11 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/loss.h"
 
+#include "satsurf/core/rng.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/loss.h"
+#include "satsurf/ops/pearson.h"
 #include "satsurf/ops/reduce.h"
 #include "satsurf/ops/resize.h"
+#include "satsurf/ops/ssim.h"
+#include "satsurf/train/routing.h"
 
+#include <algorithm>
 #include <cmath>
 
 namespace satsurf::train {
@@ -40,68 +45,170 @@ Tensor subsampled(const Tensor& z, Index stride) {
   return out;
 }
 
-Var plus(const Var& total, const Var& term, double weight) {
+void add_term(Var& total, const Var& term, double weight) {
   const Var scaled = affine(term, static_cast<float>(weight), 0.f);
-  return total.empty() ? scaled : total + scaled;
+  total = total.empty() ? scaled : total + scaled;
 }
 
-}  // namespace
+double sum_of(const Tensor& t) {
+  double sum = 0;
+  for (const float v : t.values()) sum += static_cast<double>(v);
+  return sum;
+}
 
-LossReport training_loss(const TrainConfig& config,
-                         const std::array<nn::StageOutput<float>, 3>& stages, const Crop& crop) {
-  LossReport report{{}, std::nan(""), std::nan("")};
-  for (std::size_t s = 0; s < 3; ++s) {
-    const nn::StageOutput<float>& stage = stages[s];
-    const double weight = config.stage_weight[s];
-    if (!crop.source_truth.empty()) {
-      const Target truth = height_target(crop.source_truth[s]);
-      report.total = plus(report.total,
-                          smooth_l1(stage.height, truth.value, truth.weight,
-                                    static_cast<float>(config.height_beta)),
-                          weight * config.height_weight);
-      if (s == 2) {
-        double error = 0, count = 0;
-        for (Index i = 0; i < truth.value.count(); ++i) {
-          error += static_cast<double>(truth.weight[i] *
-                                       std::abs(stage.height.value()[i] - truth.value[i]));
-          count += static_cast<double>(truth.weight[i]);
-        }
-        report.height_mae = error / count;
-      }
+/// 1 where the sources have data for all of a stage's pixel, [N h w].
+Tensor source_pixels(const std::vector<nn::View>& views, Index stride) {
+  const Index N = static_cast<Index>(views.size());
+  Tensor out;
+  for (Index n = 0; n < N; ++n) {
+    const Tensor seen =
+        area_downsample(Var(views[static_cast<std::size_t>(n)].valid), stride).value();
+    if (out.empty()) out = Tensor({N, seen.dim(0), seen.dim(1)});
+    for (Index i = 0; i < seen.count(); ++i)
+      out[n * seen.count() + i] = seen[i] > 0.99f ? 1.f : 0.f;
+  }
+  return out;
+}
+
+/// What the terms of one stage have in common.
+struct StageLoss {
+  const LossConfig& config;
+  const nn::ModelConfig& model;
+  const nn::StageOutput<float>& stage;
+  const Crop& crop;
+  const LossContext& context;
+
+  Index hypotheses() const { return stage.hypotheses.dim(1); }
+
+  RoutingMasks route(const Tensor& confidence, const Tensor& valid) const {
+    return route_losses(confidence, valid, hypotheses(),
+                        {.routing = config.routing == "cbrl" ? Routing::cbrl : Routing::none,
+                         .threshold = config.routing_tau,
+                         .floor_normalised = model.confidence == "floor",
+                         .warmup = context.step < config.appearance_warmup});
+  }
+
+  /// L_geo of the stage's heights and one target.
+  Var correlation(const Tensor& target, const Tensor& known) const {
+    const Index side = std::min(stage.height.dim(1), stage.height.dim(2));
+    Rng rng = Rng(context.seed)
+                  .fork(0x70617463)
+                  .fork(static_cast<std::uint64_t>(context.step * 4 + stage.stride));
+    PatchPearsonOptions options;
+    for (const Index part : {8, 4, 2}) {
+      const Index patch = std::max<Index>(2, side / part);
+      options.grids.push_back({patch, rng.below(patch), rng.below(patch)});
     }
-    if (!crop.target || (config.colour_weight <= 0 && config.render_height_weight <= 0)) continue;
+    const PatchPearson<float> loss = patch_pearson(stage.height, target, known, options);
+    Tensor mask = route(stage.confidence.value(), known).geometry;
+    for (Index i = 0; i < mask.count(); ++i) mask[i] *= loss.defined[i];
+    return masked_mean(affine(loss.local + loss.global, 0.5f, 0.f), mask, known);
+  }
 
+  /// L_geo, weighted.
+  void add_geometry(Var& total, double weight) const {
+    if (config.geo_weight <= 0) return;
+    const Tensor seen = source_pixels(crop.input.sources, stage.stride);
+    if (config.geo_target != "dsm" && !stage.mono_height.empty())
+      add_term(total, correlation(stage.mono_height, seen), weight * config.geo_weight);
+    if (config.geo_target == "mono" || crop.source_truth.empty()) return;
+    Target truth = height_target(crop.source_truth[stage.stride == 4   ? 0
+                                                   : stage.stride == 2 ? 1
+                                                                       : 2]);
+    for (Index i = 0; i < seen.count(); ++i) truth.weight[i] *= seen[i];
+    add_term(total, correlation(truth.value, truth.weight), weight * config.geo_weight);
+  }
+
+  bool wants_target() const {
+    return crop.target && (config.colour_weight > 0 || config.ssim_weight > 0 ||
+                           config.lpips_weight > 0 || config.render_height_weight > 0);
+  }
+
+  /// L_app and the rendered height. Returns the PSNR over opaque pixels and the share of them that
+  /// appearance is routed to.
+  std::pair<double, double> add_target(Var& total, double weight) const {
     const nn::View& view = *crop.target;
     const auto render = nn::render_view(stage.surfels, view.pixel_from_local, view.rgb.dim(1),
                                         view.rgb.dim(2), stage.stride);
     const Index h = render.alpha.dim(0), w = render.alpha.dim(1), P = h * w;
     const Tensor image = area_downsample(Var(view.rgb), stage.stride).value();
     const Tensor seen = area_downsample(Var(view.valid), stage.stride).value();
-    Tensor opaque({h, w}), opaque3({3, h, w}), known({h, w}), truth({h, w});
-    if (!crop.target_truth.empty()) truth = subsampled(crop.target_truth, stage.stride);
-    double error = 0, count = 0;
+    Tensor opaque({h, w}), confidence({h, w});
+    double error = 0;
     for (Index i = 0; i < P; ++i) {
-      const bool counts = render.alpha.value()[i] > 0.5f && seen[i] > 0.99f;
-      opaque[i] = counts ? 1.f : 0.f;
-      known[i] = counts && !crop.target_truth.empty() && std::isfinite(truth[i]) ? 1.f : 0.f;
+      const float alpha = render.alpha.value()[i];
+      opaque[i] = alpha > 0.5f && seen[i] > 0.99f ? 1.f : 0.f;
+      confidence[i] = render.aux.value()[i] / std::max(alpha, 1e-6f);
       for (Index c = 0; c < 3; ++c) {
-        opaque3[c * P + i] = opaque[i];
         const double e = static_cast<double>(render.colour.value()[c * P + i] - image[c * P + i]);
-        if (counts) error += e * e;
+        error += static_cast<double>(opaque[i]) * e * e;
       }
-      count += counts ? 3 : 0;
     }
-    if (s == 2 && count > 0) report.colour_psnr = -10 * std::log10(std::max(error / count, 1e-10));
-    report.total =
-        plus(report.total, mse(render.colour, image, opaque3), weight * config.colour_weight);
-    if (!crop.target_truth.empty())
-      report.total =
-          plus(report.total,
+    const double count = sum_of(opaque);
+    const Tensor mask = route(confidence, opaque).appearance;
+    const double share = count > 0 ? sum_of(mask) / count : 0;
+
+    // The terms are means over the mask; their share makes them means over all opaque pixels.
+    if (config.colour_weight > 0) {
+      Tensor mask3({3, h, w});
+      for (Index i = 0; i < 3 * P; ++i) mask3[i] = mask[i % P];
+      add_term(total, mse(render.colour, image, mask3), weight * share * config.colour_weight);
+    }
+    if (config.ssim_weight > 0)
+      add_term(total, affine(ssim(render.colour, image, SsimKind::conv, mask), -1.f, 1.f),
+               weight * share * config.ssim_weight);
+    if (config.lpips_weight > 0 && context.lpips != nullptr &&
+        std::min(h, w) >= context.lpips->smallest_side())
+      add_term(total, (*context.lpips)(render.colour, image, mask), weight * config.lpips_weight);
+    if (!crop.target_truth.empty() && config.render_height_weight > 0) {
+      const Tensor truth = subsampled(crop.target_truth, stage.stride);
+      Tensor known({h, w});
+      for (Index i = 0; i < P; ++i) known[i] = std::isfinite(truth[i]) ? opaque[i] : 0.f;
+      add_term(total,
                smooth_l1(render.height, truth, known, static_cast<float>(config.height_beta)),
                weight * config.render_height_weight);
+    }
+    const double psnr =
+        count > 0 ? -10 * std::log10(std::max(error / (3 * count), 1e-10)) : std::nan("");
+    return {psnr, share};
+  }
+};
+
+}  // namespace
+
+LossReport training_loss(const LossConfig& config, const nn::ModelConfig& model,
+                         const std::array<nn::StageOutput<float>, 3>& stages, const Crop& crop,
+                         const LossContext& context) {
+  LossReport report{{}, std::nan(""), std::nan(""), std::nan("")};
+  for (std::size_t s = 0; s < 3; ++s) {
+    const nn::StageOutput<float>& stage = stages[s];
+    const StageLoss loss{config, model, stage, crop, context};
+    const double weight = config.stage_weight[s];
+    if (!crop.source_truth.empty()) {
+      const Target truth = height_target(crop.source_truth[s]);
+      if (config.height_weight > 0)
+        add_term(report.total,
+                 smooth_l1(stage.height, truth.value, truth.weight,
+                           static_cast<float>(config.height_beta)),
+                 weight * config.height_weight);
+      if (s == 2) {
+        double error = 0;
+        for (Index i = 0; i < truth.value.count(); ++i)
+          error += static_cast<double>(truth.weight[i] *
+                                       std::abs(stage.height.value()[i] - truth.value[i]));
+        report.height_mae = error / sum_of(truth.weight);
+      }
+    }
+    loss.add_geometry(report.total, weight);
+    if (!loss.wants_target()) continue;
+    const auto [psnr, share] = loss.add_target(report.total, weight);
+    if (s == 2) {
+      report.colour_psnr = psnr;
+      report.confident = share;
+    }
   }
   if (report.total.empty())
-    throw Error("training_loss: neither truth nor target, expected at least one");
+    throw Error("training_loss: nothing to learn from, expected truth or target and a weight");
   return report;
 }
 

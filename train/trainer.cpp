@@ -11,6 +11,7 @@
 #include <cmath>
 #include <fstream>
 #include <numeric>
+#include <optional>
 #include <set>
 
 #include <nlohmann/json.hpp>
@@ -213,6 +214,8 @@ void train(const TrainConfig& config, const fs::path& data, OutputFolder out, st
     optimiser.load(file, checkpoint.string());
     step = optimiser.steps();
   }
+  std::optional<nn::Lpips> lpips;
+  if (!config.lpips_weights.empty()) lpips = nn::Lpips::load(config.lpips_weights);
   Journal journal(out / "train.jsonl", step);
 
   const auto save = [&] {
@@ -233,12 +236,14 @@ void train(const TrainConfig& config, const fs::path& data, OutputFolder out, st
   for (bool go_on = true; go_on && step < config.steps;) {
     const auto start = std::chrono::steady_clock::now();
     const Crop crop = training_sample(config, scenes, seed, step);
+    const LossContext context{step, seed, lpips ? &*lpips : nullptr};
     model.parameters().clear_grads();
     StepReport report{.step = step + 1,
                       .steps = config.steps,
                       .lr = nn::one_cycle_lr(config.lr, config.warmup, step, config.steps)};
     {
-      const LossReport loss = training_loss(config, model.forward(crop.input), crop);
+      const LossReport loss =
+          training_loss(config, model.config(), model.forward(crop.input), crop, context);
       report.loss = static_cast<double>(loss.total.value().item());
       report.height_mae = loss.height_mae;
       report.colour_psnr = loss.colour_psnr;
@@ -246,7 +251,7 @@ void train(const TrainConfig& config, const fs::path& data, OutputFolder out, st
     }
     if (!std::isfinite(report.loss)) {  // once more under guard, to name the op that broke
       const NanGuard guard;
-      training_loss(config, model.forward(crop.input), crop);
+      training_loss(config, model.config(), model.forward(crop.input), crop, context);
       throw Error("train: the loss of step " + std::to_string(step + 1) + " is not finite");
     }
     report.grad_norm = nn::clip_gradient_norm(model.parameters(), config.clip);

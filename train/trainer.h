@@ -4,6 +4,7 @@
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/train/dataset.h"
+#include "satsurf/train/loss.h"
 #include "satsurf/train/output_folder.h"
 
 #include <filesystem>
@@ -14,7 +15,7 @@
 namespace satsurf::train {
 
 /// Everything a training run depends on besides data and seed.
-struct TrainConfig {
+struct TrainConfig : LossConfig {
   std::string preset = "base8";  ///< starting point of `model`
   nn::ModelConfig model;
   std::string init;  ///< weights file to start from, or empty for random weights
@@ -24,22 +25,18 @@ struct TrainConfig {
   double lr = 1e-3;
   double warmup = 0.03;  ///< share of the steps
   double weight_decay = 0.01;
-  double clip = 0.5;                              ///< global gradient norm
-  std::array<double, 3> stage_weight{0.5, 1, 2};  ///< of the stages' losses, coarse to fine
-  double height_weight = 1;                       ///< smooth-L1 of the stage heights, per metre
-  double height_beta = 1;                         ///< its transition, m
-  double colour_weight = 1;                       ///< MSE of the rendered target
-  double render_height_weight = 0.1;  ///< smooth-L1 of the height rendered in the target
-  double range_jitter = 0.2;          ///< random widening of the height range, share of its span
-  double grey_share = 0.4;            ///< share of the samples made panchromatic
-  double radiometry = 0.15;           ///< random gain, offset and gamma of a sample
-  Index checkpoint_every = 200;       ///< steps
+  double clip = 0.5;             ///< global gradient norm
+  double range_jitter = 0.2;     ///< random widening of the height range, share of its span
+  double grey_share = 0.4;       ///< share of the samples made panchromatic
+  double radiometry = 0.15;      ///< random gain, offset and gamma of a sample
+  Index checkpoint_every = 200;  ///< steps
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
+    LossConfig::fields(s, v);
     v("preset", s.preset,
       Field{.help = "model preset the model fields start from",
-            .choices = {"tiny", "base8", "base16"}});
+            .choices = {"tiny", "tiny_full", "base8", "base16", "cascade8", "paper"}});
     v("model", s.model, Field{.help = "network"});
     v("init", s.init, Field{.help = "weights to start from instead of random ones"});
     v("steps", s.steps, Field{.help = "optimiser steps", .min = 1});
@@ -49,15 +46,6 @@ struct TrainConfig {
     v("warmup", s.warmup, Field{.help = "share of the steps before the peak", .min = 0, .max = 1});
     v("weight_decay", s.weight_decay, Field{.help = "decoupled weight decay", .min = 0, .max = 1});
     v("clip", s.clip, Field{.help = "largest global gradient norm", .min = 0});
-    v("stage_weight", s.stage_weight, Field{.help = "loss weight of the three stages", .min = 0});
-    v("height_weight", s.height_weight,
-      Field{.help = "weight of the height loss", .unit = "1/m", .min = 0});
-    v("height_beta", s.height_beta,
-      Field{.help = "where the height loss turns linear", .unit = "m", .min = 1e-6});
-    v("colour_weight", s.colour_weight,
-      Field{.help = "weight of the rendered target's colour loss", .min = 0});
-    v("render_height_weight", s.render_height_weight,
-      Field{.help = "weight of the rendered target's height loss", .unit = "1/m", .min = 0});
     v("range_jitter", s.range_jitter,
       Field{.help = "random widening of the height range", .min = 0, .max = 2});
     v("grey_share", s.grey_share,

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/nn/blocks.h"
+#include "satsurf/nn/config.h"
+
+#include <optional>
+#include <string>
+
+namespace satsurf::nn {
+
+/// Joins the matching features F of a stage with monocular ones M, view by view and pixel by pixel,
+/// the more of M the less the stage before was sure of its heights (CMMF):
+///   b = lambda (C - tau);  l_mvs = <q(F), k_m(F)> / sqrt(d) + b;  l_mono = <q(F), k_o(M)> / sqrt(d)
+///   - b;  W = softmax(l_mvs, l_mono)_mono;  F' = (1 - W) v_m(F) + W v_o(M)
+/// with 1 x 1 convolutions q, k, v and d the channels of F. By `fusion_start` of the configuration:
+///   paper     as it stands, v_o zero at the start: then F' = (1 - W) v_m(F)
+///   gated     a learned offset of -4 to begin with goes to l_mono, v_m starts as the identity and q
+///             at zero: F' = F within 3 %
+///   additive  as gated, but F' = v_m(F) + W v_o(M): F' = F at the start
+/// `naive` fusion is one 1 x 1 convolution of F and M stacked.
+/// Source: SatSurfGS, confidence-aware monocular multi-view feature fusion.
+template <class T>
+class FeatureFusion {
+ public:
+  /// channels       of F and F'
+  /// mono_channels  of M, 0 where there is no monocular branch: F' = v_m(F), or F if naive
+  FeatureFusion(ParameterSet<T>& p, const std::string& name, const ModelConfig& config,
+                Index channels, Index mono_channels);
+  /// features    [N C h w]
+  /// mono        [N M h w], or an empty Var without a branch
+  /// confidence  [N h w] of the stage before, in [0, 1]
+  /// returns     [N C h w]
+  /// throws      ShapeError
+  BasicVar<T> operator()(const BasicVar<T>& features, const BasicVar<T>& mono,
+                         const BasicTensor<T>& confidence) const;
+
+ private:
+  bool naive_, additive_;
+  double lambda_, tau_;
+  std::optional<Conv2d<T>> joined_;  // naive
+  std::optional<Conv2d<T>> query_, key_features_, value_features_, key_mono_, value_mono_;
+  BasicVar<T> offset_;  ///< [1] of l_mono
+};
+
+}  // namespace satsurf::nn
