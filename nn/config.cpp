@@ -31,10 +31,21 @@ ModelConfig model_preset(const std::string& name) {
   if (name == "base16") return {.base = 16, .volume_base = 16, .head_width = {96, 64, 48}};
   if (name == "cascade8") return cascade({});
   if (name == "paper") return {.rotation = "camera", .fusion_start = "paper", .confidence = "raw"};
+  if (name == "mvsplat_like") return cascade({.hypotheses = {128, 0, 0}});
+  if (name == "hisplat_like") {
+    ModelConfig config = cascade({.keep = "all"});
+    config.guidance = "photometric";
+    return config;
+  }
+  if (name == "skysplat_like")
+    return {.hypotheses = {64, 0, 0}, .rotation = "camera", .fusion = "none", .guidance = "none"};
   throw ConfigError("preset: '" + name + "', expected one of " + model_preset_names());
 }
 
-std::string model_preset_names() { return "tiny, tiny_full, base8, base16, cascade8, paper"; }
+std::string model_preset_names() {
+  return "tiny, tiny_full, base8, base16, cascade8, paper, mvsplat_like, hisplat_like, "
+         "skysplat_like";
+}
 
 Index size_multiple(const ModelConfig& config) {
   return std::lcm(Index{4} << config.volume_levels, config.mono == "none" ? 1 : kMonoMultiple);

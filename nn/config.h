@@ -13,7 +13,9 @@ namespace satsurf::nn {
 /// Every width, depth count and switch of the network.
 struct ModelConfig {
   Index base = 8;  ///< feature channels at full resolution; x2, x4 at strides 2, 4
-  std::array<Index, 3> hypotheses{64, 32, 8};   ///< heights per pixel at strides 4, 2, 1
+  /// Heights per pixel at strides 4, 2, 1; 0 for a later stage that does not search but takes the
+  /// heights of the one before, interpolated.
+  std::array<Index, 3> hypotheses{64, 32, 8};
   Index volume_base = 8;                        ///< channels of the first level of each 3D U-Net
   Index volume_levels = 3;                      ///< halvings inside each 3D U-Net
   std::array<Index, 3> head_width{64, 48, 32};  ///< channels of the surfel heads
@@ -31,13 +33,17 @@ struct ModelConfig {
   double fusion_tau = 0.2;             ///< confidence that favours neither side
   std::string guidance = "csrg";  ///< of a stage by the one before: none | csrg (nn/guidance.h)
   std::string guidance_norm = "robust";  ///< robust | interval
+  std::string keep =
+      "last";  ///< surfels of a stage: last (its own) | all (the stages' before, too)
   std::string confidence = "floor";  ///< C as fusion reads it: raw | floor, (C - 1/D) / (1 - 1/D)
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
     v("base", s.base, Field{.help = "feature channels at full resolution", .min = 1, .max = 64});
     v("hypotheses", s.hypotheses,
-      Field{.help = "height hypotheses per pixel at strides 4, 2 and 1", .min = 2, .max = 256});
+      Field{.help = "height hypotheses per pixel at strides 4, 2 and 1; 0 interpolates",
+            .min = 0,
+            .max = 256});
     v("volume_base", s.volume_base,
       Field{.help = "first-level channels of each 3D U-Net", .min = 1, .max = 64});
     v("volume_levels", s.volume_levels,
@@ -70,10 +76,14 @@ struct ModelConfig {
     v("fusion_tau", s.fusion_tau,
       Field{.help = "confidence at which cmmf favours neither side", .min = 0, .max = 1});
     v("guidance", s.guidance,
-      Field{.help = "how rendered heights guide the next stage", .choices = {"none", "csrg"}});
+      Field{.help = "how rendered heights guide the next stage",
+            .choices = {"none", "csrg", "photometric"}});
     v("guidance_norm", s.guidance_norm,
       Field{.help = "how they are compared with the stage's own",
             .choices = {"robust", "interval"}});
+    v("keep", s.keep,
+      Field{.help = "whose surfels a stage hands on: its own or all so far",
+            .choices = {"last", "all"}});
     v("confidence", s.confidence,
       Field{.help = "confidence that fusion and loss routing read", .choices = {"raw", "floor"}});
   }
@@ -87,10 +97,27 @@ struct ModelConfig {
 ///   base16           the same with twice the channels
 ///   cascade8         base8 without monocular branch, fusion and guidance
 ///   paper            base8 with the published choices where the defaults are others
+/// and other methods as far as this engine's parts can stand for theirs. All three have base8's
+/// feature and head widths, RPC cameras, variance volumes, 3D U-Nets and flat surfels:
+///   mvsplat_like   after Chen et al. 2024. Keeps: one plane sweep at a quarter of the resolution,
+///                  128 hypotheses, expectation, interpolation to full size, attributes from image
+///                  and features there. Not: its cross-view transformer, correlation volume, 2D
+///                  U-Nets that refine volume and depth, inverse depth.
+///   hisplat_like   after Tang et al. 2024. Keeps: three stages whose surfels are all kept, each
+///                  guided by the colour error of the ones before, equal loss weights. Not: its
+///                  later stages refine depth by a 2D network where these search a narrow volume,
+///                  its opacity modulator, its image backbone.
+///   skysplat_like  after the RPC splatter of one stage: 64 hypotheses between the scene's heights,
+///                  interpolation to full size, surfels that face the camera, correlation with
+///                  relative heights as a loss on every pixel. Not: its recurrent regulariser, 3D
+///                  Gaussians, cross-view consistency masks.
 /// throws  ConfigError naming the presets there are
 ModelConfig model_preset(const std::string& name);
 /// Their names, for texts.
 std::string model_preset_names();
+
+/// Image pixels per pixel of each stage, coarse to fine.
+inline constexpr std::array<Index, 3> kStrides{4, 2, 1};
 
 /// Pixel sizes must be multiples of this: the coarsest stride times the U-Net's halvings.
 Index size_multiple(const ModelConfig& config);

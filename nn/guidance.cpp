@@ -17,6 +17,7 @@ constexpr Index kWidth = 32;
 constexpr double kFlat = 0.1;    // m: flat ground has a MAD of centimetres, which are noise
 constexpr double kLargest = 10;  // of a residual
 constexpr double kCovered = 0.5;
+constexpr double kWhole = 0.999;  // of the pixels a bilinear sample reads
 
 /// 1 where `share` is at least half, else 0.
 template <class T>
@@ -68,13 +69,34 @@ BasicTensor<T> guidance_residual(const BasicTensor<T>& height, const BasicTensor
     const Index n = row / h;
     for (Index i = row % h * w; i < (row % h + 1) * w; ++i) {
       const Index at = n * P + i;
-      const bool known = seen[at] > 0 && static_cast<double>(whole[at]) > 0.999;
+      const bool known = seen[at] > 0 && static_cast<double>(whole[at]) > kWhole;
       const double d = known ? static_cast<double>(ours[at] - theirs[at]) * unit : 0;
       const double clamped = std::clamp(d, -kLargest, kLargest);
       T* to = out.data() + n * 3 * P + i;
       to[0] = static_cast<T>(clamped);
       to[P] = static_cast<T>(std::abs(clamped));
       to[2 * P] = confidence[at];
+    }
+  });
+  return out;
+}
+
+template <class T>
+BasicTensor<T> photometric_residual(const BasicTensor<T>& image, const BasicTensor<T>& valid,
+                                    const BasicTensor<T>& rendered, const BasicTensor<T>& alpha) {
+  const NoGrad no_grad;
+  Dims dim("photometric_residual");
+  dim.match("image", image, "N 3 h w").match("valid", valid, "N h w");
+  dim.match("rendered", rendered, "N 3 H W").match("alpha", alpha, "N H W");
+  const Index h = dim["h"], w = dim["w"], P = h * w;
+  const BasicTensor<T> seen = mostly(valid), covered = resized(mostly(alpha), h, w);
+  const BasicTensor<T> theirs = resized(rendered, h, w);
+  auto out = BasicTensor<T>::uninitialised(image.shape());
+  for_range(image.count(), 1 << 14, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) {
+      const Index at = i / (3 * P) * P + i % P;
+      const bool known = seen[at] > 0 && static_cast<double>(covered[at]) > kWhole;
+      out[i] = known ? image[i] - theirs[i] : T(0);
     }
   });
   return out;
@@ -102,6 +124,12 @@ template BasicTensor<double> guidance_residual(const BasicTensor<double>&,
                                                const BasicTensor<double>&,
                                                const BasicTensor<double>&,
                                                const BasicTensor<double>&, GuidanceNorm, double);
+template BasicTensor<float> photometric_residual(const Tensor&, const Tensor&, const Tensor&,
+                                                 const Tensor&);
+template BasicTensor<double> photometric_residual(const BasicTensor<double>&,
+                                                  const BasicTensor<double>&,
+                                                  const BasicTensor<double>&,
+                                                  const BasicTensor<double>&);
 template class Guidance<float>;
 template class Guidance<double>;
 

@@ -33,6 +33,19 @@ BasicTensor<T> guidance_residual(const BasicTensor<T>& height, const BasicTensor
                                  const BasicTensor<T>& valid, const BasicTensor<T>& rendered,
                                  const BasicTensor<T>& alpha, GuidanceNorm norm, double interval);
 
+/// The same by colours: R = I - I^ of the images and the rendered ones, 0 where the surface covers
+/// less than half a pixel or the view has no data.
+/// image     [N 3 h w] of the stage
+/// valid     [N h w] share of the view's data behind each pixel
+/// rendered  [N 3 h' w'] of the stage before
+/// alpha     [N h' w'] of that rendering
+/// returns   [N 3 h w], without gradients
+/// throws    ShapeError
+/// Source: after Tang et al. 2024 (HiSplat), whose later stages see the error of the earlier ones
+template <class T>
+BasicTensor<T> photometric_residual(const BasicTensor<T>& image, const BasicTensor<T>& valid,
+                                    const BasicTensor<T>& rendered, const BasicTensor<T>& alpha);
+
 /// Adds what the residual says to the head's input where the input asks for it (CSRG):
 ///   X' = X + sigmoid(w(X)) r(R)
 /// with w two 3 x 3 convolutions of 32 channels between them and r two 1 x 1 ones, ReLU inside

@@ -21,8 +21,6 @@
 namespace satsurf::nn {
 namespace {
 
-constexpr std::array<Index, 3> kStrides{4, 2, 1};
-
 /// One tensor [N ...] of a plane stack of every view.
 template <class T>
 BasicTensor<T> stacked(const std::vector<View>& views, const Tensor View::*member) {
@@ -61,45 +59,31 @@ void check(const ModelConfig& config, const SceneInput& scene) {
                       std::to_string(scene.z_high) + ", expected a positive span");
 }
 
+/// The constructor of the model refuses what no network can be built from.
+void check_hypotheses(const ModelConfig& config) {
+  const Index halved = Index{1} << config.volume_levels;
+  for (const Index d : config.hypotheses)
+    if (d % halved != 0)
+      throw ConfigError("model: " + std::to_string(d) + " hypotheses, expected a multiple of " +
+                        std::to_string(halved) +
+                        " (volume_levels = " + std::to_string(config.volume_levels) + ")");
+  if (config.hypotheses[0] == 0)
+    throw ConfigError("model: no hypotheses at the first stage, expected " +
+                      std::to_string(halved) + " or more: there is nothing to interpolate");
+}
+
 Rotation rotation_of(const ModelConfig& config) {
   return config.rotation == "camera"     ? Rotation::camera
          : config.rotation == "gradient" ? Rotation::gradient
                                          : Rotation::residual;
 }
 
-/// Notes the most tensor bytes of one part after the other, beyond those at its construction.
-class MemoryMeter {
- public:
-  explicit MemoryMeter(std::vector<PartMemory>* parts)
-      : parts_(parts), before_(tensor_bytes()), most_(peak_tensor_bytes()) {
-    if (parts_ == nullptr) return;
-    parts_->clear();
-    reset_peak_tensor_bytes();
-  }
-  void end(const std::string& part) {
-    if (parts_ == nullptr) return;
-    const std::size_t peak = peak_tensor_bytes();
-    parts_->push_back({part, static_cast<double>(peak) - static_cast<double>(before_)});
-    most_ = std::max(most_, peak);
-    reset_peak_tensor_bytes();
-  }
-  ~MemoryMeter() {
-    if (parts_ != nullptr) raise_peak_tensor_bytes(most_);
-  }
-  MemoryMeter(const MemoryMeter&) = delete;
-  MemoryMeter& operator=(const MemoryMeter&) = delete;
-
- private:
-  std::vector<PartMemory>* parts_;
-  std::size_t before_, most_;
-};
-
 }  // namespace
 
 template <class T>
 BasicTensor<T> effective_confidence(const ModelConfig& config, const StageOutput<T>& stage) {
   if (config.confidence == "raw") return stage.confidence.value();
-  const T floor = T(1) / static_cast<T>(stage.hypotheses.dim(1));
+  const T floor = T(1) / static_cast<T>(stage.choices);
   BasicTensor<T> out = stage.confidence.value().clone();
   for (T& c : out.values()) c = (c - floor) / (T(1) - floor);
   return out;
@@ -109,11 +93,12 @@ template <class T>
 struct BasicModel<T>::Parts {
   /// The parameters of one stage.
   struct Stage {
-    CostNet<T> cost;
+    std::optional<CostNet<T>> cost;  ///< where the stage searches
     SurfelHead<T> head;
     std::optional<FeatureFusion<T>> fusion;
     std::optional<Guidance<T>> guidance;
   };
+  class Pass;
 
   Parts(const ModelConfig& c, std::uint64_t seed)
       : config(c), parameters(seed), features(parameters, c.base) {
@@ -122,8 +107,11 @@ struct BasicModel<T>::Parts {
       const std::string name = "stage" + std::to_string(s + 1);
       const Index channels = config.base * kStrides[s],
                   head_in = 3 + channels + config.hypotheses[s] + 1;
-      stages.push_back({CostNet<T>(parameters, name + ".cost", channels, config.volume_base,
-                                   config.volume_levels),
+      std::optional<CostNet<T>> cost;
+      if (config.hypotheses[s] > 0)
+        cost.emplace(parameters, name + ".cost", channels, config.volume_base,
+                     config.volume_levels);
+      stages.push_back({std::move(cost),
                         SurfelHead<T>(parameters, name + ".head", head_in, config.head_width[s]),
                         {},
                         {}});
@@ -138,44 +126,6 @@ struct BasicModel<T>::Parts {
     }
   }
 
-  /// Features of one stage with those of the monocular branch, where the configuration joins them.
-  BasicVar<T> fused(std::size_t s, const BasicVar<T>& x, const BasicVar<T>& tap,
-                    const StageOutput<T>& previous) const {
-    if (!stages[s].fusion) return x;
-    const Index views = x.dim(0), h = x.dim(2), w = x.dim(3);
-    BasicTensor<T> confidence;
-    {
-      const NoGrad no_grad;
-      confidence =
-          resize_bilinear(BasicVar<T>(effective_confidence(config, previous)), h, w).value();
-    }
-    std::vector<BasicVar<T>> parts;  // view by view: what is in between is large
-    for (Index i = 0; i < views; ++i)
-      parts.push_back((*stages[s].fusion)(slice(x, 0, i, i + 1),
-                                          tap.empty() ? tap : slice(tap, 0, i, i + 1),
-                                          confidence.slice0(i).reshaped({1, h, w})));
-    return concat(parts, 0);
-  }
-
-  /// What the surface of the stage before says about the heights of this one in every source view.
-  BasicTensor<T> residual(const SceneInput& scene, const StageOutput<T>& stage,
-                          const StageOutput<T>& previous, const BasicTensor<T>& valid) const {
-    const NoGrad no_grad;
-    std::vector<BasicVar<T>> heights, alphas;
-    for (const View& view : scene.sources) {
-      const auto render = render_view(previous.surfels, view.pixel_from_local, view.rgb.dim(1),
-                                      view.rgb.dim(2), previous.stride);
-      const Shape one{1, render.alpha.dim(0), render.alpha.dim(1)};
-      heights.push_back(reshape(render.height, one));
-      alphas.push_back(reshape(render.alpha, one));
-    }
-    return guidance_residual(
-        stage.height.value(), stage.confidence.value(), valid, concat(heights, 0).value(),
-        concat(alphas, 0).value(),
-        config.guidance_norm == "interval" ? GuidanceNorm::interval : GuidanceNorm::robust,
-        stage.interval);
-  }
-
   ModelConfig config;
   ParameterSet<T> parameters;
   FeatureNet<T> features;
@@ -185,12 +135,7 @@ struct BasicModel<T>::Parts {
 
 template <class T>
 BasicModel<T>::BasicModel(const ModelConfig& config, std::uint64_t seed) {
-  const Index halved = Index{1} << config.volume_levels;
-  for (const Index d : config.hypotheses)
-    if (d % halved != 0)
-      throw ConfigError("model: " + std::to_string(d) + " hypotheses, expected a multiple of " +
-                        std::to_string(halved) +
-                        " (volume_levels = " + std::to_string(config.volume_levels) + ")");
+  check_hypotheses(config);
   parts_ = std::make_unique<Parts>(config, seed);
 }
 
@@ -213,179 +158,227 @@ const ParameterSet<T>& BasicModel<T>::parameters() const {
   return parts_->parameters;
 }
 
+/// One forward pass: what it works on, and its steps.
+template <class T>
+class BasicModel<T>::Parts::Pass {
+ public:
+  Pass(const Parts& net, const SceneInput& scene, const std::function<void()>& poll,
+       std::vector<PartMemory>* memory)
+      : net_(net),
+        config_(net.config),
+        scene_(scene),
+        poll_(poll),
+        meter_(memory),
+        views_(static_cast<Index>(scene.sources.size())),
+        intervals_(hypothesis_intervals(config_, scene)) {}
+
+  std::array<StageOutput<T>, 3> run() {
+    extract();
+    meter_.end("features");
+    for (std::size_t s = 0; s < 3; ++s) {
+      const std::string number = " " + std::to_string(s + 1);
+      StageOutput<T>& stage = out_[s];
+      stage.stride = kStrides[s];
+      stage.interval = intervals_[s];
+      if (!taps_[0].empty()) stage.mono_height = downsampled(taps_[0], stage.stride).value();
+      if (s > 0) fuse(s);
+      const BasicTensor<T> seen = downsampled(valid_, stage.stride).value();
+      if (config_.hypotheses[s] > 0) {
+        propose(s);
+        search(s, seen);
+      } else {
+        interpolate(s);
+      }
+      meter_.end("volumes" + number);
+      make_surfels(s, seen);
+      meter_.end("heads" + number);
+    }
+    return std::move(out_);
+  }
+
+ private:
+  void polled() const {
+    if (poll_) poll_();
+  }
+  Index height(std::size_t s) const { return scene_.sources[0].rgb.dim(1) / kStrides[s]; }
+  Index width(std::size_t s) const { return scene_.sources[0].rgb.dim(2) / kStrides[s]; }
+
+  static BasicVar<T> downsampled(const BasicVar<T>& x, Index stride) {
+    return stride == 1 ? x : area_downsample(x, stride);
+  }
+  static BasicVar<T> of_view(const BasicVar<T>& x, Index i) { return slice(x, 0, i, i + 1); }
+
+  /// Features of all views. They pass through the 2D nets one after the other: that takes a third
+  /// of the memory.
+  void extract() {
+    std::array<std::vector<BasicVar<T>>, 3> levels, mono;  // mono: heights, taps of stages 2 and 3
+    for (const View& v : scene_.sources) {
+      polled();
+      const BasicVar<T> image(standardised<T>(v));
+      const auto features = net_.features(image);
+      for (std::size_t s = 0; s < 3; ++s) levels[s].push_back(features[s]);
+      if (!net_.mono) continue;
+      polled();
+      const NoGrad no_grad;  // the branch is trained by itself
+      const MonoOutput<T> seen = (*net_.mono)(image);
+      mono[0].push_back(seen.height);
+      if (config_.fusion == "none") continue;
+      mono[1].push_back(seen.tap_half);
+      mono[2].push_back(seen.tap_full);
+    }
+    for (std::size_t s = 0; s < 3; ++s) {
+      pyramid_[s] = concat(std::exchange(levels[s], {}), 0);
+      if (!mono[s].empty()) taps_[s] = concat(std::exchange(mono[s], {}), 0);
+    }
+    images_ = BasicVar<T>(stacked<T>(scene_.sources, &View::rgb));
+    valid_ = BasicVar<T>(stacked<T>(scene_.sources, &View::valid));
+  }
+
+  /// Joins the stage's features with those of the monocular branch, where the configuration does.
+  void fuse(std::size_t s) {
+    const auto& fusion = net_.stages[s].fusion;
+    const BasicVar<T> tap = std::exchange(taps_[s], {});
+    if (!fusion) return;
+    const Index h = height(s), w = width(s);
+    BasicTensor<T> confidence;
+    {
+      const NoGrad no_grad;
+      confidence =
+          resize_bilinear(BasicVar<T>(effective_confidence(config_, out_[s - 1])), h, w).value();
+    }
+    std::vector<BasicVar<T>> parts;  // view by view: what is in between is large
+    for (Index i = 0; i < views_; ++i)
+      parts.push_back((*fusion)(of_view(pyramid_[s], i), tap.empty() ? tap : of_view(tap, i),
+                                confidence.slice0(i).reshaped({1, h, w})));
+    pyramid_[s] = concat(parts, 0);
+  }
+
+  /// Which heights to try: the whole range first, then a narrow band around the surface of the
+  /// stage before.
+  void propose(std::size_t s) {
+    const Index D = config_.hypotheses[s], h = height(s), w = width(s);
+    StageOutput<T>& stage = out_[s];
+    stage.choices = D;
+    if (s == 0) {
+      stage.hypotheses = uniform_hypotheses<T>(scene_.z_low, scene_.z_high, views_, D, h, w);
+      return;
+    }
+    const NoGrad no_grad;
+    const BasicVar<T> centre = resize_bilinear(out_[s - 1].height.detach(), h, w);
+    // a surface at the very edge of the range stays inside the band
+    const double margin = 2 * intervals_[s];
+    stage.hypotheses = narrowed_hypotheses(centre.value(), intervals_[s], D, scene_.z_low - margin,
+                                           scene_.z_high + margin);
+  }
+
+  /// Every view in turn is the reference: variance volume, regularisation, logits; then heights and
+  /// confidence of all.
+  void search(std::size_t s, const BasicTensor<T>& seen) {
+    StageOutput<T>& stage = out_[s];
+    const double stride = static_cast<double>(kStrides[s]);
+    std::vector<BasicVar<T>> logits;
+    for (Index i = 0; i < views_; ++i) {
+      polled();
+      std::vector<Quadratic> maps;
+      for (const Quadratic& q : scene_.transfer[static_cast<std::size_t>(i)])
+        maps.push_back(rescale_pixels(q, stride, stride));
+      logits.push_back((*net_.stages[s].cost)(
+          plane_sweep_variance(pyramid_[s], i, maps, stage.hypotheses.slice0(i), seen,
+                               config_.variance_includes_reference),
+          poll_));
+    }
+    const BasicVar<T> all = concat(std::exchange(logits, {}), 0);
+    const auto distribution = height_distribution(all, stage.hypotheses);
+    stage.probability = distribution.probability;
+    stage.height = distribution.height;
+    stage.confidence = distribution.confidence;
+  }
+
+  void interpolate(std::size_t s) {
+    const StageOutput<T>& previous = out_[s - 1];
+    out_[s].height = resize_bilinear(previous.height, height(s), width(s));
+    out_[s].confidence = resize_bilinear(previous.confidence, height(s), width(s));
+    out_[s].choices = previous.choices;
+  }
+
+  /// What the surface of the stage before, rendered into the source views, tells this one; empty
+  /// without guidance.
+  BasicVar<T> residual(std::size_t s, const BasicVar<T>& image, const BasicTensor<T>& seen) const {
+    if (!net_.stages[s].guidance) return {};
+    const NoGrad no_grad;
+    const StageOutput<T>&stage = out_[s], &previous = out_[s - 1];
+    const bool photometric = config_.guidance == "photometric";
+    std::vector<BasicVar<T>> maps, alphas;
+    for (const View& view : scene_.sources) {
+      const auto render = render_view(previous.surfels, view.pixel_from_local, view.rgb.dim(1),
+                                      view.rgb.dim(2), previous.stride);
+      const Index h = render.alpha.dim(0), w = render.alpha.dim(1);
+      maps.push_back(photometric ? reshape(render.colour, Shape{1, 3, h, w})
+                                 : reshape(render.height, Shape{1, h, w}));
+      alphas.push_back(reshape(render.alpha, Shape{1, h, w}));
+    }
+    const BasicTensor<T> rendered = concat(maps, 0).value(), alpha = concat(alphas, 0).value();
+    if (photometric) return BasicVar<T>(photometric_residual(image.value(), seen, rendered, alpha));
+    const GuidanceNorm norm =
+        config_.guidance_norm == "interval" ? GuidanceNorm::interval : GuidanceNorm::robust;
+    return BasicVar<T>(guidance_residual(stage.height.value(), stage.confidence.value(), seen,
+                                         rendered, alpha, norm, stage.interval));
+  }
+
+  /// One surfel per pixel.
+  void make_surfels(std::size_t s, const BasicTensor<T>& seen) {
+    StageOutput<T>& stage = out_[s];
+    const auto& guidance = net_.stages[s].guidance;
+    const BasicVar<T> image = downsampled(images_, stage.stride);
+    const BasicVar<T> rendered = residual(s, image, seen);
+    std::vector<BasicVar<T>> raw;
+    for (Index i = 0; i < views_; ++i) {
+      polled();
+      std::vector<BasicVar<T>> input{of_view(image, i), of_view(pyramid_[s], i)};
+      if (!stage.probability.empty()) input.push_back(of_view(stage.probability, i));
+      if (guidance) {
+        const BasicVar<T> plain = concat(std::exchange(input, {}), 1);
+        input.push_back((*guidance)(plain, of_view(rendered, i)));
+      }
+      input.push_back(reshape(of_view(stage.confidence, i), Shape{1, 1, height(s), width(s)}));
+      raw.push_back(net_.stages[s].head(concat(input, 1)));
+    }
+    const double z_mid = 0.5 * (scene_.z_low + scene_.z_high);
+    std::vector<PixelGeometry> geometry;
+    for (const View& v : scene_.sources) geometry.push_back(pixel_geometry(v, z_mid, stage.stride));
+    const BasicVar<T> all = concat(std::exchange(raw, {}), 0);
+    stage.surfels = surfels_from_maps(all, stage.height, image.value(), stage.confidence, geometry,
+                                      rotation_of(config_));
+    if (s > 0 && config_.keep == "all") stage.surfels = joined(stage.surfels, out_[s - 1].surfels);
+  }
+
+  static splat::BasicSurfels<T> joined(const splat::BasicSurfels<T>& a,
+                                       const splat::BasicSurfels<T>& b) {
+    const auto both = [](const BasicVar<T>& x, const BasicVar<T>& y) {
+      return concat<T>({x, y}, 0);
+    };
+    return {both(a.means, b.means),     both(a.quats, b.quats),     both(a.scales, b.scales),
+            both(a.opacity, b.opacity), both(a.colours, b.colours), both(a.aux, b.aux)};
+  }
+
+  const Parts& net_;
+  const ModelConfig& config_;
+  const SceneInput& scene_;
+  const std::function<void()>& poll_;
+  MemoryMeter meter_;
+  const Index views_;
+  const std::array<double, 3> intervals_;
+  std::array<BasicVar<T>, 3> pyramid_, taps_;  ///< taps: relative heights, features of stages 2, 3
+  BasicVar<T> images_, valid_;
+  std::array<StageOutput<T>, 3> out_;
+};
+
 template <class T>
 std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
                                                      const std::function<void()>& poll,
                                                      std::vector<PartMemory>* memory) const {
-  const ModelConfig& config = parts_->config;
-  check(config, scene);
-  const auto polled = [&poll] {
-    if (poll) poll();
-  };
-  const std::size_t N = scene.sources.size();
-  const Index views = static_cast<Index>(N), H = scene.sources[0].rgb.dim(1),
-              W = scene.sources[0].rgb.dim(2);
-  const std::array<double, 3> intervals = hypothesis_intervals(config, scene);
-  const double z_mid = 0.5 * (scene.z_low + scene.z_high);
-  MemoryMeter meter(memory);
-
-  // Views pass through the 2D nets one after the other: that takes a third of the memory.
-  std::array<std::vector<BasicVar<T>>, 3> levels, mono;  // mono: heights, taps of stages 2 and 3
-  for (const View& v : scene.sources) {
-    polled();
-    const BasicVar<T> image(standardised<T>(v));
-    const auto features = parts_->features(image);
-    for (std::size_t s = 0; s < 3; ++s) levels[s].push_back(features[s]);
-    if (!parts_->mono) continue;
-    polled();
-    const NoGrad no_grad;  // the branch is trained by itself
-    const MonoOutput<T> seen = (*parts_->mono)(image);
-    mono[0].push_back(seen.height);
-    if (config.fusion == "none") continue;
-    mono[1].push_back(seen.tap_half);
-    mono[2].push_back(seen.tap_full);
-  }
-  std::array<BasicVar<T>, 3> pyramid, taps;
-  for (std::size_t s = 0; s < 3; ++s) {
-    pyramid[s] = concat(std::exchange(levels[s], {}), 0);
-    if (!mono[s].empty()) taps[s] = concat(std::exchange(mono[s], {}), 0);
-  }
-  const BasicVar<T> images(stacked<T>(scene.sources, &View::rgb));
-  const BasicVar<T> valid(stacked<T>(scene.sources, &View::valid));
-  meter.end("features");
-
-  std::array<StageOutput<T>, 3> out;
-  for (std::size_t s = 0; s < 3; ++s) {
-    const Index stride = kStrides[s], h = H / stride, w = W / stride, D = config.hypotheses[s];
-    StageOutput<T>& stage = out[s];
-    stage.stride = stride;
-    stage.interval = intervals[s];
-
-    // 1. Which heights to try: the whole range first, then a narrow band around the previous
-    // stage's surface.
-    if (s == 0) {
-      stage.hypotheses = uniform_hypotheses<T>(scene.z_low, scene.z_high, views, D, h, w);
-    } else {
-      const NoGrad no_grad;
-      const BasicVar<T> centre = resize_bilinear(out[s - 1].height.detach(), h, w);
-      // a surface at the very edge of the range stays inside the band
-      const double margin = 2 * intervals[s];
-      stage.hypotheses = narrowed_hypotheses(centre.value(), intervals[s], D, scene.z_low - margin,
-                                             scene.z_high + margin);
-    }
-
-    if (!taps[0].empty())
-      stage.mono_height = (stride == 1 ? taps[0] : area_downsample(taps[0], stride)).value();
-    if (s > 0) {
-      pyramid[s] = parts_->fused(s, pyramid[s], taps[s], out[s - 1]);
-      taps[s] = {};
-    }
-
-    // 2. Every view in turn is the reference: variance volume, regularisation, logits.
-    const BasicTensor<T> seen = area_downsample(valid, stride).value();
-    std::vector<BasicVar<T>> logits;
-    for (std::size_t i = 0; i < N; ++i) {
-      polled();
-      std::vector<Quadratic> maps;
-      for (std::size_t j = 0; j < N; ++j)
-        maps.push_back(rescale_pixels(scene.transfer[i][j], static_cast<double>(stride),
-                                      static_cast<double>(stride)));
-      logits.push_back(parts_->stages[s].cost(
-          plane_sweep_variance(pyramid[s], static_cast<Index>(i), maps,
-                               stage.hypotheses.slice0(static_cast<Index>(i)), seen,
-                               config.variance_includes_reference),
-          poll));
-    }
-
-    // 3. Heights and confidence.
-    {
-      const BasicVar<T> all_logits = concat(std::exchange(logits, {}), 0);
-      const auto distribution = height_distribution(all_logits, stage.hypotheses);
-      stage.probability = distribution.probability;
-      stage.height = distribution.height;
-      stage.confidence = distribution.confidence;
-    }
-    meter.end("volumes " + std::to_string(s + 1));
-
-    // 4. One surfel per pixel.
-    const BasicVar<T> image = stride == 1 ? images : area_downsample(images, stride);
-    const auto& guidance = parts_->stages[s].guidance;
-    BasicVar<T> residual;
-    if (guidance) residual = BasicVar<T>(parts_->residual(scene, stage, out[s - 1], seen));
-    std::vector<BasicVar<T>> raw;
-    for (Index i = 0; i < views; ++i) {
-      polled();
-      const auto of_view = [i](const BasicVar<T>& x) { return slice(x, 0, i, i + 1); };
-      const BasicVar<T> confidence = reshape(of_view(stage.confidence), Shape{1, 1, h, w});
-      std::vector<BasicVar<T>> input{of_view(image), of_view(pyramid[s]),
-                                     of_view(stage.probability)};
-      if (guidance) {
-        const BasicVar<T> plain = concat(std::exchange(input, {}), 1);
-        input.push_back((*guidance)(plain, of_view(residual)));
-      }
-      input.push_back(confidence);
-      raw.push_back(parts_->stages[s].head(concat(input, 1)));
-    }
-    std::vector<PixelGeometry> geometry;
-    for (const View& v : scene.sources) geometry.push_back(pixel_geometry(v, z_mid, stride));
-    const BasicVar<T> all_raw = concat(std::exchange(raw, {}), 0);
-    stage.surfels = surfels_from_maps(all_raw, stage.height, image.value(), stage.confidence,
-                                      geometry, rotation_of(config));
-    meter.end("heads " + std::to_string(s + 1));
-  }
-  return out;
-}
-
-std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,
-                                       Index width) {
-  const double N = static_cast<double>(views), b = static_cast<double>(config.base),
-               v = static_cast<double>(config.volume_base),
-               pixels = static_cast<double>(height * width);
-  constexpr double kSurfel = 13, kRaw = 10;  // floats of a surfel, outputs of the head
-  constexpr double kScratch = 2e5;           // floats a thread's 3D convolution works in
-  std::vector<PartMemory> parts;
-  const auto add = [&](const std::string& part, double floats_per_pixel) {
-    parts.push_back({part, static_cast<double>(sizeof(float)) * floats_per_pixel * pixels});
-  };
-  // The last view's features are made beside those of the others: at full resolution a sum of two
-  // terms of 4 b channels, from three maps of b, b / 2 and b / 4 and what is kept of them.
-  const bool mono = config.mono != "none", fusion = mono && config.fusion != "none";
-  const double m = static_cast<double>(config.mono_net.base);
-  std::array<double, 3> taps{mono ? 1.0 : 0, fusion ? 0.5 * m : 0, fusion ? m : 0};
-  const double all_taps = taps[0] + taps[1] + taps[2];
-  add("features", (N - 1) * (1.75 * b + all_taps) + 10.75 * b + 3);
-  double kept = N * (1.75 * b + all_taps + 3 + 1);  // features, monocular ones, images, validity
-  for (std::size_t s = 0; s < 3; ++s) {
-    const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);
-    const double C = static_cast<double>(config.base * kStrides[s]);
-    const double D = static_cast<double>(config.hypotheses[s]);
-    const double w = static_cast<double>(config.head_width[s]);
-    const std::string stage = " " + std::to_string(s + 1);
-    if (s > 0) kept -= N * taps[s];  // fused
-    kept += N * p * D;               // hypotheses
-    if (mono && s < 2) kept += N * p;
-    // One view's volume and what the first convolution makes of it, or the sum at the U-Net's end;
-    // then logits, their concatenation and the probabilities of all views.
-    const double scratch = std::min(kScratch * threads(), 0.25 * D * p * v * pixels) / pixels;
-    const double volume = N * D + D * std::max(C + v, 2.3 * v), distribution = 2 * N * D + 2 * N;
-    add("volumes" + stage, kept + std::max(p * volume + scratch, p * distribution));
-    kept += N * p * (D + 2);  // probability, height, confidence
-    // One view's input, once more in parts, and three layers of the head; then all raw attributes,
-    // packed surfels and their attributes.
-    const double images = s < 2 ? 3 * N : 0;
-    const double head = 2 * (4 + C + D) + 3 * w + kRaw * (N - 1),
-                 surfels = N * (kRaw + 2 * kSurfel);
-    add("heads" + stage, kept + p * (images + std::max(head, surfels)));
-    kept += p * N * kSurfel;
-  }
-  return parts;
-}
-
-double forward_bytes(const ModelConfig& config, Index views, Index height, Index width) {
-  double most = 0;
-  for (const PartMemory& part : forward_memory(config, views, height, width))
-    most = std::max(most, part.bytes);
-  return most;
+  check(parts_->config, scene);
+  return typename Parts::Pass(*parts_, scene, poll, memory).run();
 }
 
 template <class T>

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/config.h"
+#include "satsurf/nn/forward_memory.h"
 #include "satsurf/nn/module.h"
 #include "satsurf/nn/scene.h"
 #include "satsurf/splat/rasterize.h"
@@ -18,24 +19,20 @@ namespace satsurf::nn {
 /// What one stage of the cascade predicts for all N source views, at the stage's resolution.
 template <class T>
 struct StageOutput {
-  Index stride = 1;                ///< 4, 2 or 1 image pixels per stage pixel
-  double interval = 0;             ///< between hypotheses, m
-  BasicTensor<T> hypotheses;       ///< [N D h w] m
-  BasicVar<T> probability;         ///< [N D h w] over the hypotheses
-  BasicVar<T> height;              ///< [N h w] expected height H_s, m in the local frame
-  BasicVar<T> confidence;          ///< [N h w] max probability C_s
-  splat::BasicSurfels<T> surfels;  ///< N*h*w pixel-aligned surfels; aux channel 0 is the confidence
-  BasicTensor<T> mono_height;      ///< [N h w] of the monocular branch, relative; empty without one
+  Index stride = 1;           ///< 4, 2 or 1 image pixels per stage pixel
+  double interval = 0;        ///< between hypotheses, m
+  BasicTensor<T> hypotheses;  ///< [N D h w] m; empty where the stage does not search (D = 0)
+  BasicVar<T> probability;    ///< [N D h w] over the hypotheses; empty alike
+  BasicVar<T> height;         ///< [N h w] expected height H_s, m in the local frame
+  BasicVar<T> confidence;     ///< [N h w] max probability C_s
+  Index choices = 0;          ///< hypotheses behind the confidence: D, or those of the stage before
+  /// N*h*w pixel-aligned surfels, and behind them those of the stages before if the configuration
+  /// keeps all; aux channel 0 is the confidence.
+  splat::BasicSurfels<T> surfels;
+  BasicTensor<T> mono_height;  ///< [N h w] of the monocular branch, relative; empty without one
 };
 
 inline constexpr const char* kMonoPrefix = "mono.";
-
-/// Most bytes in tensors at one time during one part of a forward pass, its results and what earlier
-/// parts left behind included, the scene not.
-struct PartMemory {
-  std::string part;  ///< "features", "volumes 1", "heads 1", "volumes 2", ..
-  double bytes = 0;
-};
 
 /// A stage's confidence as fusion and loss routing read it: C itself, or with the floor taken off
 /// that equal probabilities have, (C - 1/D) / (1 - 1/D).
@@ -71,15 +68,6 @@ class BasicModel {
   std::unique_ptr<Parts> parts_;
 };
 using Model = BasicModel<float>;
-
-/// What `forward` takes without a tape, foreseen from the sizes of features, volumes, heads and
-/// surfels.
-/// height, width  of the views, image pixels
-/// returns        the parts in the order of the pass, each within a tenth
-std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,
-                                       Index width);
-/// The largest part.
-double forward_bytes(const ModelConfig& config, Index views, Index height, Index width);
 
 /// Renders surfels into a view at one of the stage strides.
 /// surfels           in the local frame

@@ -5,6 +5,7 @@
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/loss.h"
 #include "satsurf/ops/reduce.h"
+#include "satsurf/ops/resize.h"
 
 #include <cmath>
 
@@ -279,12 +280,41 @@ TEST_CASE("every parameter receives a gradient") {
   }
 }
 
+TEST_CASE("stages that do not search interpolate, and surfels of all stages can be kept") {
+  const auto scene = hill();
+  const NoGrad no_grad;
+  nn::ModelConfig config = nn::model_preset("tiny");
+  config.hypotheses = {8, 0, 4};
+  config.keep = "all";
+  config.guidance = "photometric";
+  const nn::BasicModel<double> model(config, 1);
+  const auto stages = model.forward(scene);
+  CHECK(stages[1].probability.empty());
+  CHECK(stages[1].choices == 8);
+  CHECK(stages[2].choices == 4);
+  const auto up = resize_bilinear(stages[0].height, 16, 16).value();
+  for (Index i = 0; i < up.count(); ++i) CHECK(stages[1].height.value()[i] == up[i]);
+  CHECK(stages[0].surfels.means.dim(0) == 3 * 8 * 8);
+  CHECK(stages[1].surfels.means.dim(0) == 3 * (8 * 8 + 16 * 16));
+  CHECK(stages[2].surfels.means.dim(0) == 3 * (8 * 8 + 16 * 16 + 32 * 32));
+  // a stage's own come first
+  for (Index i = 0; i < 3 * 16 * 16; ++i)
+    CHECK(stages[1].surfels.aux.value()[i] == stages[1].confidence.value()[i]);
+  config.hypotheses = {0, 8, 4};
+  CHECK_THROWS_AS(nn::BasicModel<double>(config, 1), ConfigError);
+  for (const char* preset : {"mvsplat_like", "hisplat_like", "skysplat_like", "paper"}) {
+    CAPTURE(preset);
+    const auto of_32 = nn::Model(nn::model_preset(preset), 1).forward(hill());
+    CHECK(of_32[2].height.shape() == Shape{3, 32, 32});
+  }
+}
+
 TEST_CASE("one and two threads give the same bits") {
   const auto scene = hill();
   std::vector<std::vector<float>> gradients;
   for (const int n : {1, 2}) {
     set_threads(n);
-    const nn::BasicModel<float> model(nn::model_preset("tiny"), 1);
+    const nn::BasicModel<float> model(nn::model_preset("tiny_full"), 1);
     objective(model, scene).backward();
     auto& all = gradients.emplace_back();
     for (const auto& e : model.parameters().entries())
@@ -325,8 +355,8 @@ TEST_CASE("wrong inputs are refused by name") {
   scene.sources.resize(1);
   CHECK_THROWS_WITH_AS(model.forward(scene), "model: 1 source views, expected two or more",
                        ShapeError);
-  CHECK_THROWS_WITH_AS(
-      nn::model_preset("huge"),
-      "preset: 'huge', expected one of tiny, tiny_full, base8, base16, cascade8, paper",
-      ConfigError);
+  CHECK_THROWS_WITH_AS(nn::model_preset("huge"),
+                       "preset: 'huge', expected one of tiny, tiny_full, base8, base16, cascade8, "
+                       "paper, mvsplat_like, hisplat_like, skysplat_like",
+                       ConfigError);
 }

@@ -78,7 +78,7 @@ struct StageLoss {
   const Crop& crop;
   const LossContext& context;
 
-  Index hypotheses() const { return stage.hypotheses.dim(1); }
+  Index hypotheses() const { return stage.choices; }
 
   RoutingMasks route(const Tensor& confidence, const Tensor& valid) const {
     return route_losses(confidence, valid, hypotheses(),
@@ -176,6 +176,38 @@ struct StageLoss {
 
 }  // namespace
 
+LossConfig loss_preset(const std::string& name) {
+  nn::model_preset(name);  // refuses what is none
+  LossConfig c;
+  const auto unrouted = [&c] {
+    c.routing = "none";
+    c.geo_weight = 0;
+  };
+  if (name == "paper") {
+    c.height_weight = c.render_height_weight = 0;
+    c.appearance_warmup = 0;
+  } else if (name == "cascade8" || name == "tiny") {
+    unrouted();
+  } else if (name == "mvsplat_like") {
+    unrouted();
+    c.stage_weight = {0, 0, 2};
+    c.ssim_weight = 0;
+    c.lpips_weight = 0.05;
+  } else if (name == "hisplat_like") {
+    unrouted();
+    c.stage_weight = {1, 1, 1};
+    c.ssim_weight = 0;
+    c.lpips_weight = 0.05;
+  } else if (name == "skysplat_like") {
+    unrouted();
+    c.stage_weight = {0, 0, 2};
+    c.geo_weight = 1;
+    c.ssim_weight = 0;
+    c.lpips_weight = 0.05;
+  }
+  return c;
+}
+
 LossReport training_loss(const LossConfig& config, const nn::ModelConfig& model,
                          const std::array<nn::StageOutput<float>, 3>& stages, const Crop& crop,
                          const LossContext& context) {
@@ -184,6 +216,7 @@ LossReport training_loss(const LossConfig& config, const nn::ModelConfig& model,
     const nn::StageOutput<float>& stage = stages[s];
     const StageLoss loss{config, model, stage, crop, context};
     const double weight = config.stage_weight[s];
+    if (weight <= 0) continue;
     if (!crop.source_truth.empty()) {
       const Target truth = height_target(crop.source_truth[s]);
       if (config.height_weight > 0)

@@ -59,6 +59,12 @@ struct LossConfig {
   }
 };
 
+/// The objective that belongs to a model preset (nn/config.h): for `paper` no true heights, for the
+/// presets after other methods the terms and stage weights those are trained with; true heights
+/// stay where they have none of their own, so that a comparison is one of networks.
+/// throws  ConfigError as `model_preset`
+LossConfig loss_preset(const std::string& name);
+
 /// When a loss is taken, and with what.
 struct LossContext {
   Index step = 0;                    ///< from 0

@@ -174,7 +174,10 @@ void add_train(CLI::App& app, Common& common, std::function<void()>& run) {
   static ConfigFlags<TrainConfig> flags(*c, defaults);
   c->callback([&, defaults] {
     o.config_file = flags.file();
-    const auto apply_preset = [](TrainConfig& t) { t.model = nn::model_preset(t.preset); };
+    const auto apply_preset = [](TrainConfig& t) {
+      t.model = nn::model_preset(t.preset);
+      static_cast<LossConfig&>(t) = loss_preset(t.preset);
+    };
     o.config = flags.effective(
         defaults, "train",
         [&](TrainConfig& t,

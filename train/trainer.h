@@ -35,8 +35,9 @@ struct TrainConfig : LossConfig {
   static void fields(Self& s, V&& v) {
     LossConfig::fields(s, v);
     v("preset", s.preset,
-      Field{.help = "model preset the model fields start from",
-            .choices = {"tiny", "tiny_full", "base8", "base16", "cascade8", "paper"}});
+      Field{.help = "what the fields of network and losses start from",
+            .choices = {"tiny", "tiny_full", "base8", "base16", "cascade8", "paper", "mvsplat_like",
+                        "hisplat_like", "skysplat_like"}});
     v("model", s.model, Field{.help = "network"});
     v("init", s.init, Field{.help = "weights to start from instead of random ones"});
     v("steps", s.steps, Field{.help = "optimiser steps", .min = 1});

@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/nn/forward_memory.h"
+
+#include "satsurf/core/parallel.h"
+#include "satsurf/core/tensor.h"
+
+#include <algorithm>
+#include <array>
+
+namespace satsurf::nn {
+
+std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,
+                                       Index width) {
+  const double N = static_cast<double>(views), b = static_cast<double>(config.base),
+               v = static_cast<double>(config.volume_base),
+               pixels = static_cast<double>(height * width);
+  constexpr double kSurfel = 13, kRaw = 10;  // floats of a surfel, outputs of the head
+  constexpr double kScratch = 2e5;           // floats a thread's 3D convolution works in
+  std::vector<PartMemory> parts;
+  const auto add = [&](const std::string& part, double floats_per_pixel) {
+    parts.push_back({part, static_cast<double>(sizeof(float)) * floats_per_pixel * pixels});
+  };
+  // The last view's features are made beside those of the others: at full resolution a sum of two
+  // terms of 4 b channels, from three maps of b, b / 2 and b / 4 and what is kept of them.
+  const bool mono = config.mono != "none", fusion = mono && config.fusion != "none";
+  const double m = static_cast<double>(config.mono_net.base);
+  std::array<double, 3> taps{mono ? 1.0 : 0, fusion ? 0.5 * m : 0, fusion ? m : 0};
+  const double all_taps = taps[0] + taps[1] + taps[2];
+  add("features", (N - 1) * (1.75 * b + all_taps) + 10.75 * b + 3);
+  double kept = N * (1.75 * b + all_taps + 3 + 1);  // features, monocular ones, images, validity
+  for (std::size_t s = 0; s < 3; ++s) {
+    const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);
+    const double C = static_cast<double>(config.base * kStrides[s]);
+    const double D = static_cast<double>(config.hypotheses[s]);
+    const double w = static_cast<double>(config.head_width[s]);
+    const std::string stage = " " + std::to_string(s + 1);
+    if (s > 0) kept -= N * taps[s];  // fused
+    kept += N * p * D;               // hypotheses
+    if (mono && s < 2) kept += N * p;
+    // One view's volume and what the first convolution makes of it, or the sum at the U-Net's end;
+    // then logits, their concatenation and the probabilities of all views.
+    const double scratch = std::min(kScratch * threads(), 0.25 * D * p * v * pixels) / pixels;
+    const double volume = N * D + D * std::max(C + v, 2.3 * v), distribution = 2 * N * D + 2 * N;
+    add("volumes" + stage, kept + std::max(p * volume + scratch, p * distribution));
+    kept += N * p * (D + 2);  // probability, height, confidence
+    // One view's input, once more in parts, and three layers of the head; then all raw attributes,
+    // packed surfels and their attributes.
+    const double images = s < 2 ? 3 * N : 0;
+    const double head = 2 * (4 + C + D) + 3 * w + kRaw * (N - 1),
+                 surfels = N * (kRaw + 2 * kSurfel);
+    add("heads" + stage, kept + p * (images + std::max(head, surfels)));
+    kept += p * N * kSurfel;
+  }
+  return parts;
+}
+
+double forward_bytes(const ModelConfig& config, Index views, Index height, Index width) {
+  double most = 0;
+  for (const PartMemory& part : forward_memory(config, views, height, width))
+    most = std::max(most, part.bytes);
+  return most;
+}
+
+MemoryMeter::MemoryMeter(std::vector<PartMemory>* parts)
+    : parts_(parts), before_(tensor_bytes()), most_(peak_tensor_bytes()) {
+  if (parts_ == nullptr) return;
+  parts_->clear();
+  reset_peak_tensor_bytes();
+}
+
+MemoryMeter::~MemoryMeter() {
+  if (parts_ != nullptr) raise_peak_tensor_bytes(most_);
+}
+
+void MemoryMeter::end(const std::string& part) {
+  if (parts_ == nullptr) return;
+  const std::size_t peak = peak_tensor_bytes();
+  parts_->push_back({part, static_cast<double>(peak) - static_cast<double>(before_)});
+  most_ = std::max(most_, peak);
+  reset_peak_tensor_bytes();
+}
+
+}  // namespace satsurf::nn
