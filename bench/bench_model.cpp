@@ -21,7 +21,7 @@
 namespace satsurf::bench {
 namespace {
 
-constexpr std::array<Index, 3> kStrides{4, 2, 1};
+using nn::kStrides;
 
 nn::SceneInput bench_scene(Index side) {
   return test::affine_scene(
