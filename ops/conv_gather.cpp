@@ -94,6 +94,15 @@ Route correlation_route(const ConvKernels<T>& kernels, const Geometry& g) {
   return g.O >= kernels.lanes && g.stride[2] == 2 ? Route::lanes : Route::lines;
 }
 
+/// Where outputs go and what else happens to them.
+template <class T>
+struct Result {
+  const T* bias;  ///< [O], or nullptr
+  T* out;
+  bool accumulate;   ///< add to what is there
+  Moments* moments;  ///< [O] of one piece, or nullptr
+};
+
 /// What a correlation and its adjoint share: O channels gathered from C channels.
 template <class T>
 class Gather {
@@ -133,8 +142,8 @@ class Gather {
       const Piece piece = pieces[i];
       Slab<T> slab(kernels_, axes_, in, B_ * C_, C_, piece.rows, planes);
       slab.open(piece.b * C_, piece.row);
-      run_piece(piece, slab, packed.data(), bias, out, accumulate,
-                parts.empty() ? nullptr : parts.data() + i * O_);
+      run_piece(piece, slab, packed.data(),
+                {bias, out, accumulate, parts.empty() ? nullptr : parts.data() + i * O_});
     });
     if (moments == nullptr) return;
     moments->assign(static_cast<std::size_t>(B_ * O_), {});
@@ -172,8 +181,7 @@ class Gather {
     return static_cast<Index>((axes_[1].mixed ? axes_[1] : axes_[2]).phases.size());
   }
 
-  void run_piece(const Piece& piece, Slab<T>& slab, const T* packed, const T* bias, T* out,
-                 bool accumulate, Moments* moments) const {
+  void run_piece(const Piece& piece, Slab<T>& slab, const T* packed, const Result<T>& to) const {
     const Index depth_phases = static_cast<Index>(axes_[0].phases.size());
     const Index width = ceil_div(piece.rows * slab.pitch(), kernels_.lanes) * kernels_.lanes;
     auto lines =
@@ -189,7 +197,7 @@ class Gather {
         set_shifts(phase, m, slab, shifts.data());
         for (Index o = 0; o < O_; o += block_) {
           const Index outputs = std::min(block_, O_ - o);
-          expect_stores(piece, *phase, z, rows, o, outputs, out);
+          expect_stores(piece, *phase, z, rows, o, outputs, to.out);
           ConvGather<T> gather{.x = slab.data(),
                                .c_stride = slab.c_stride(),
                                .C = C_,
@@ -202,8 +210,7 @@ class Gather {
                                .out = nullptr,
                                .out_stride = width};
           if (route_ != Route::lines) {
-            gather_directly(piece, z, rows, o, slab, packed, bias, out, accumulate, moments,
-                            gather);
+            gather_directly(piece, z, rows, o, slab, packed, to, gather);
             continue;
           }
           for (Index i = 0; i < together(); ++i) {
@@ -214,8 +221,7 @@ class Gather {
             kernels_.gather(gather, count);
             gather.shift += gather.taps;
           }
-          store(piece, *phase, z, rows, o, outputs, slab.pitch(), lines, bias, out, accumulate,
-                moments);
+          store(piece, *phase, z, rows, o, outputs, slab.pitch(), lines, to);
         }
       }
     }
@@ -247,16 +253,15 @@ class Gather {
 
   /// The routes without lines. They have one phase.
   void gather_directly(const Piece& piece, Index z, Index rows, Index o, const Slab<T>& slab,
-                       const T* packed, const T* bias, T* out, bool accumulate, Moments* moments,
-                       ConvGather<T>& gather) const {
+                       const T* packed, const Result<T>& to, ConvGather<T>& gather) const {
     const Index H = out_size_[1], W = out_size_[2], count = out_size_[0] * H * W;
-    T* const first = out + (piece.b * O_ + o) * count + (z * H + piece.row) * W;
+    T* const first = to.out + (piece.b * O_ + o) * count + (z * H + piece.row) * W;
     alignas(64) T start[kMostLanes] = {};
-    if (bias != nullptr) std::copy_n(bias + o, gather.outputs, start);
+    if (to.bias != nullptr) std::copy_n(to.bias + o, gather.outputs, start);
     gather.taps = K_;
     gather.weight = packed + o * K_ * C_;
     gather.bias = start;
-    gather.add = accumulate;
+    gather.add = to.accumulate;
     gather.out = first;
     gather.out_stride = count;
     for (Index r = 0; r < rows; ++r, gather.x += slab.pitch(), gather.out += W) {
@@ -265,40 +270,39 @@ class Gather {
       else
         kernels_.gather(gather, W);
     }
-    if (moments == nullptr) return;
+    if (to.moments == nullptr) return;
     for (Index i = 0; i < gather.outputs; ++i)
-      add_moments(first + i * count, rows * W, moments[o + i]);
+      add_moments(first + i * count, rows * W, to.moments[o + i]);
   }
 
   void store(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
-             Index outputs, Index pitch, const BasicTensor<T>& lines, const T* bias, T* out,
-             bool accumulate, Moments* moments) const {
+             Index outputs, Index pitch, const BasicTensor<T>& lines, const Result<T>& to) const {
     const Index H = out_size_[1], W = out_size_[2];
     const Index row_phases = axes_[1].mixed ? 1 : static_cast<Index>(axes_[1].phases.size());
     const Index width = lines.dim(2), phase_stride = kConvBlock * width;
     for (Index i = 0; i < outputs; ++i) {
-      T* plane = out + ((piece.b * O_ + o + i) * out_size_[0] + z) * H * W;
-      const T b = bias == nullptr ? T(0) : bias[o + i];
+      T* plane = to.out + ((piece.b * O_ + o + i) * out_size_[0] + z) * H * W;
+      const T b = to.bias == nullptr ? T(0) : to.bias[o + i];
       for (Index r = 0; r < rows; ++r) {
         const T* line = lines.data() + i * width + r * pitch;
         if (axes_[1].mixed) {
           const Index y = (piece.row + r) * winograd::kOutputs;
-          kernels_.rows.mix_output(line, phase_stride, b, accumulate, plane + y * W, W,
+          kernels_.rows.mix_output(line, phase_stride, b, to.accumulate, plane + y * W, W,
                                    std::min(winograd::kOutputs, H - y), W);
         } else {
           const Index y = phase.first_row + (piece.row + r) * row_phases;
-          kernels_.rows.store(line, phase_stride, lines.dim(0), b, accumulate, plane + y * W, W);
+          kernels_.rows.store(line, phase_stride, lines.dim(0), b, to.accumulate, plane + y * W, W);
         }
       }
-      if (moments == nullptr) continue;
+      if (to.moments == nullptr) continue;
       const Index group = axes_[1].mixed ? winograd::kOutputs : 1;
       const Index first = phase.first_row + piece.row * group * row_phases;
       if (row_phases == 1) {
-        add_moments(plane + first * W, std::min(rows * group, H - first) * W, moments[o + i]);
+        add_moments(plane + first * W, std::min(rows * group, H - first) * W, to.moments[o + i]);
         continue;
       }
       for (Index r = 0; r < rows; ++r)
-        add_moments(plane + (first + r * row_phases) * W, W, moments[o + i]);
+        add_moments(plane + (first + r * row_phases) * W, W, to.moments[o + i]);
     }
   }
 
