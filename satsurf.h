@@ -35,6 +35,7 @@
 #include "satsurf/ops/resize.h"
 #include "satsurf/ops/robust.h"
 #include "satsurf/ops/softmax.h"
+#include "satsurf/ops/ssi_loss.h"
 #include "satsurf/ops/ssim.h"
 #include "satsurf/rpc/fit.h"
 #include "satsurf/rpc/frame.h"
