@@ -20,6 +20,7 @@
 #include "satsurf/nn/lpips.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/nn/module.h"
+#include "satsurf/nn/mono.h"
 #include "satsurf/nn/scene.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/conv.h"

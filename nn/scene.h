@@ -16,6 +16,13 @@ struct View {
   Quadratic pixel_from_local;  ///< (x, y, z) m -> px
 };
 
+/// An image by its own mean and deviation over the valid pixels of all channels, for dates differ in
+/// radiometry: what every network sees. Invalid pixels become 0, and an image without contrast stays
+/// near 0 instead of amplifying its noise.
+/// returns  [1 3 H W]
+template <class T>
+BasicTensor<T> standardised(const View& view);
+
 /// What the network is given: source views of one size, and the pixel transfer between any two of
 /// them.
 struct SceneInput {
