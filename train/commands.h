@@ -3,12 +3,14 @@
 
 #include "satsurf/rpc/fit.h"
 #include "satsurf/rpc/frame.h"
+#include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/simulate/scene.h"
 #include "satsurf/train/trainer.h"
 
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <variant>
 #include <vector>
 
 namespace satsurf::train {
@@ -48,11 +50,11 @@ void run_simulate(const SimulateOptions& options);
 /// What `train` is asked.
 struct TrainOptions {
   std::filesystem::path data, out, config_file;  ///< config_file may be empty
-  TrainConfig config;
+  std::variant<TrainConfig, MonoTrainConfig> config;
   std::uint64_t seed = 0;
   bool overwrite = false, resume = false;
 };
-/// Trains a network on a data set.
+/// Trains a network on a data set: which one is in the configuration.
 /// throws  Interrupted after saving a checkpoint
 void run_train(const TrainOptions& options);
 
