@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/fields_json.h"
+#include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/trainer.h"
 
 #include <nlohmann/json.hpp>
@@ -8,30 +9,41 @@ namespace satsurf::train {
 namespace {
 
 constexpr const char* kFormat = "satsurf-1";
-constexpr const char* kPrefix = "model.";
+
+/// The configuration of a network in a file's metadata.
+/// key   of it
+/// what  the file should be, for the error text
+/// c     what fields that the file does not name are
+/// throws  IoError
+template <HasFields C>
+C config_from(const TensorFile& file, const std::string& key, const std::string& what,
+              const std::string& where, C c = {}) {
+  const auto format = file.metadata.find("format"), config = file.metadata.find(key);
+  if (format == file.metadata.end() || format->second != kFormat || config == file.metadata.end())
+    throw IoError(where + ": not a " + what + ", expected metadata format = " + kFormat +
+                  " and its configuration");
+  try {  // here a wrong configuration is a damaged file, not wrong usage
+    from_json(parse_json(config->second, where), c, where);
+  } catch (const ConfigError& e) {
+    throw IoError(e.what());
+  }
+  return c;
+}
 
 }  // namespace
 
 void store_model(TensorFile& file, const nn::Model& model) {
   file.metadata["format"] = kFormat;
   file.metadata["model"] = to_json(model.config()).dump();
-  model.parameters().store(file, kPrefix);
+  model.parameters().store(file, kModelPrefix);
 }
 
 nn::Model model_from(const TensorFile& file, const std::string& where) {
-  const auto format = file.metadata.find("format"), config = file.metadata.find("model");
-  if (format == file.metadata.end() || format->second != kFormat || config == file.metadata.end())
-    throw IoError(where + ": not a satsurf model, expected metadata format = " + kFormat +
-                  " and its configuration");
-  nn::ModelConfig c = nn::model_preset("cascade8");  // all there was when names were fewer
-  try {  // here a wrong configuration is a damaged file, not wrong usage
-    from_json(parse_json(config->second, where), c, where);
-  } catch (const ConfigError& e) {
-    throw IoError(e.what());
-  }
+  // Files from when there was nothing but the cascade name its fields only.
+  const auto c = config_from(file, "model", "satsurf model", where, nn::model_preset("cascade8"));
   try {
     nn::Model model(c, 0);
-    model.parameters().load(file, kPrefix, where);
+    model.parameters().load(file, kModelPrefix, where);
     return model;
   } catch (const ConfigError& e) {
     throw IoError(where + ": " + e.what());
@@ -48,6 +60,38 @@ void save_model(const std::filesystem::path& path, const nn::Model& model,
   file.metadata = origin;
   store_model(file, model);
   save_safetensors(path, file);
+}
+
+void store_mono(TensorFile& file, const nn::Mono& mono) {
+  file.metadata["format"] = kFormat;
+  file.metadata["mono"] = to_json(mono.config()).dump();
+  mono.parameters().store(file, kMonoPrefix);
+}
+
+nn::Mono mono_from(const TensorFile& file, const std::string& where) {
+  const auto c = config_from<nn::MonoConfig>(file, "mono", "satsurf monocular network", where);
+  nn::Mono mono(c, 0);
+  mono.parameters().load(file, kMonoPrefix, where);
+  return mono;
+}
+
+nn::Mono load_mono(const std::filesystem::path& path) {
+  return mono_from(load_safetensors(path), path.string());
+}
+
+void load_mono_branch(nn::Model& model, const std::filesystem::path& path) {
+  const nn::Mono mono = load_mono(path);
+  if (mono.config() != model.config().mono_net)
+    throw IoError(path.string() + ": a monocular network of base " +
+                  std::to_string(mono.config().base) + ", expected " +
+                  std::to_string(model.config().mono_net.base));
+  const std::string prefix = nn::kMonoPrefix;
+  for (const auto& from : mono.parameters().entries())
+    for (const auto& to : model.parameters().entries())
+      if (to.name == prefix + from.name) {
+        BasicVar<float> var = to.var;
+        var.mutable_value() = from.var.value().clone();
+      }
 }
 
 }  // namespace satsurf::train

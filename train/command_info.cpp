@@ -70,14 +70,27 @@ void print_image(const rpc::RasterInfo& info) {
 struct Weights {
   std::filesystem::path path;
   std::map<std::string, std::string> metadata;
-  nn::Model model;
+  std::string network;  ///< its size and configuration, in words
 };
+
+/// What a file of weights holds.
+/// throws  IoError
+Weights weights_in(const std::filesystem::path& path) {
+  const TensorFile file = load_safetensors(path);
+  const auto said = [](const auto& network) {
+    return std::to_string(network.parameters().count()) + " weights; " +
+           to_json(network.config()).dump();
+  };
+  const bool mono = file.metadata.contains("mono") && !file.metadata.contains("model");
+  return {path, file.metadata,
+          mono ? "monocular, " + said(mono_from(file, path.string()))
+               : said(model_from(file, path.string()))};
+}
 
 /// The network, and what `train` has noted of its origin, if it did.
 void print_weights(const Weights& w) {
   std::printf("%s\n", w.path.c_str());
-  std::printf("  network       %td weights; %s\n", w.model.parameters().count(),
-              to_json(w.model.config()).dump().c_str());
+  std::printf("  network       %s\n", w.network.c_str());
   const auto said = [&](const char* key) {
     const auto at = w.metadata.find(key);
     return at == w.metadata.end() ? std::string("unknown") : at->second;
@@ -130,13 +143,11 @@ void run_info(const InfoOptions& options) {
   std::vector<rpc::RasterInfo> all;
   std::vector<Weights> weights;
   for (const auto& file : options.images)  // all are read before anything is said
-    if (file.extension() == ".safetensors") {
-      const TensorFile content = load_safetensors(file);
-      weights.push_back({file, content.metadata, model_from(content, file.string())});
-    } else {
+    if (file.extension() == ".safetensors")
+      weights.push_back(weights_in(file));
+    else
       all.push_back(file.extension() == ".json" ? rpc::view_info(file, options.image_dirs)
                                                 : rpc::read_info(file));
-    }
   std::vector<rpc::RasterInfo> cameras;
   for (const rpc::RasterInfo& info : all) {
     print_image(info);

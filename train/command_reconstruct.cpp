@@ -134,23 +134,27 @@ void write_pictures(const OutputFolder& folder, const Reconstruction& made, cons
 
 }  // namespace
 
-fs::path find_weights(const fs::path& asked) {
-  if (!asked.empty()) return asked;
-  if (const char* named = std::getenv("SATSURF_WEIGHTS"); named != nullptr && *named != '\0')
-    return named;
+fs::path find_shipped(const std::string& name, const std::string& what, const std::string& flag) {
   std::error_code ignored;
   const fs::path program = fs::read_symlink("/proc/self/exe", ignored).parent_path();
-  std::vector<fs::path> places{program.parent_path() / "share/satsurf/base8.safetensors"};
+  std::vector<fs::path> places{program.parent_path() / "share/satsurf" / name};
   // a build tree lies inside the sources: build/PRESET/bin
   fs::path up = program;
   for (int level = 0; level < 3; ++level) up = up.parent_path();
-  places.push_back(up / "nn/weights/base8.safetensors");
+  places.push_back(up / "nn/weights" / name);
   std::string looked;
   for (const fs::path& place : places) {
     if (fs::exists(place)) return place;
     looked += (looked.empty() ? "" : ", ") + place.string();
   }
-  throw IoError("weights: none found, wanted one of " + looked + "; give --weights FILE");
+  throw IoError(what + ": none found, wanted one of " + looked + "; give " + flag + " FILE");
+}
+
+fs::path find_weights(const fs::path& asked) {
+  if (!asked.empty()) return asked;
+  if (const char* named = std::getenv("SATSURF_WEIGHTS"); named != nullptr && *named != '\0')
+    return named;
+  return find_shipped("base8.safetensors", "weights", "--weights");
 }
 
 std::vector<std::string> frame_comments(const rpc::LocalFrame& frame) {

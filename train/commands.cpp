@@ -14,7 +14,11 @@
 #include <cmath>
 #include <csignal>
 #include <cstdio>
+#include <deque>
+#include <numeric>
+#include <string>
 #include <utility>
+#include <variant>
 
 #include <nlohmann/json.hpp>
 
@@ -74,12 +78,52 @@ Tensor mask_of(const EvaluateDsmOptions& options, const DsmPair& pair) {
   return seen;
 }
 
+/// One term of the objective, on average over the last hundred steps that know it.
+class RecentTerm {
+ public:
+  /// format  of the average, for people
+  RecentTerm(std::string term, std::string format)
+      : term_(std::move(term)), format_(std::move(format)) {}
+
+  void add(const StepReport& report) {
+    const double value = report.term(term_);
+    if (!std::isfinite(value)) return;
+    values_.push_back(value);
+    constexpr std::size_t kRecent = 100;
+    if (values_.size() > kRecent) values_.pop_front();
+  }
+  std::string name() const { return term_ + "_running"; }
+  Index count() const { return static_cast<Index>(values_.size()); }
+  /// NaN without any.
+  double mean() const {
+    if (values_.empty()) return std::nan("");
+    return std::accumulate(values_.begin(), values_.end(), 0.0) /
+           static_cast<double>(values_.size());
+  }
+  std::string text() const {
+    char text[64];
+    std::snprintf(text, sizeof text, format_.c_str(), mean());
+    return text;
+  }
+
+ private:
+  std::string term_, format_;
+  std::deque<double> values_;
+};
+
 /// throws IoError if two results would go into one file
 void check_distinct(const std::pair<fs::path, fs::path>& files) {
   if (files.first.empty() || files.second.empty()) return;
   if (fs::weakly_canonical(fs::absolute(files.first)) ==
       fs::weakly_canonical(fs::absolute(files.second)))
     throw IoError(files.first.string() + ": named for two results, wanted two names");
+}
+
+/// The branch that comes with the program, where a new run needs one and names none.
+void find_branch(TrainConfig& config, bool resume) {
+  if (resume || config.model.mono == "none" || !config.init.empty()) return;
+  if (config.mono_weights.empty())
+    config.mono_found = find_shipped("mono12.safetensors", "monocular weights", "--mono_weights");
 }
 
 }  // namespace
@@ -125,43 +169,51 @@ void run_simulate(const SimulateOptions& options) {
 }
 
 void run_train(const TrainOptions& options) {
+  const auto settings =
+      std::visit([](const auto& c) -> TrainingSettings { return c; }, options.config);
   OutputFolder folder =
-      options.resume
-          ? OutputFolder::in_place(options.out)
-          : OutputFolder::staged(options.out, options.overwrite,
-                                 {options.data, options.config.init, options.config_file});
+      options.resume ? OutputFolder::in_place(options.out)
+                     : OutputFolder::staged(options.out, options.overwrite,
+                                            {options.data, settings.init, options.config_file});
   Progress progress;
   StepReport last;
   list_scenes(options.data);  // a wrong folder is told before its files are read
-  RunRecord record("train", to_json(options.config), options.seed);
+  RunRecord record("train", std::visit([](const auto& c) { return to_json(c); }, options.config),
+                   options.seed);
   record.add_input(options.data);
-  if (!options.config.init.empty()) record.add_input(options.config.init);
+  if (!settings.init.empty()) record.add_input(settings.init);
   if (!options.resume)
     record.save(folder / "run.json");  // marks the folder as a run from the start
-  double average = 0;                  // running mean of the height error over about fifty steps
-  train(
-      options.config, options.data, std::move(folder), options.seed, options.resume,
-      [&](const StepReport& r) {
-        if (interrupted() && r.step == 1) throw Interrupted{};  // before anything is worth keeping
-        average = last.step == 0 ? r.height_mae : average + 0.02 * (r.height_mae - average);
-        last = r;
-        char text[160];
-        std::snprintf(text, sizeof text,
-                      "step %td/%td  loss %.4f  height error %.2f m  %.2f s/step", r.step, r.steps,
-                      r.loss, average, r.seconds);
-        progress.update("train", static_cast<double>(r.step) / static_cast<double>(r.steps), text);
-        return !interrupted();
+  RecentTerm watched = settings.task == "mono" ? RecentTerm("correlation", "correlation %.3f")
+                                               : RecentTerm("height_mae", "height error %.2f m");
+  const auto step = [&](const StepReport& r) {
+    if (interrupted() && r.step == 1) throw Interrupted{};  // before anything is worth keeping
+    watched.add(r);
+    last = r;
+    char text[160];
+    std::snprintf(text, sizeof text, "step %td/%td  loss %.4f  %s  %.2f s/step", r.step, r.steps,
+                  r.loss, watched.text().c_str(), r.seconds);
+    progress.update("train", static_cast<double>(r.step) / static_cast<double>(r.steps), text);
+    return !interrupted();
+  };
+  const auto reading = [&](double read) {
+    if (interrupted()) throw Interrupted{};
+    progress.update("read", read);
+  };
+  std::visit(
+      [&](auto c) {
+        if constexpr (std::is_same_v<decltype(c), TrainConfig>) find_branch(c, options.resume);
+        train(c, options.data, std::move(folder), options.seed, options.resume, step, reading);
       },
-      [&](double read) {
-        if (interrupted()) throw Interrupted{};
-        progress.update("read", read);
-      });
+      options.config);
   record.results() = {
-      {"step", last.step}, {"steps", options.config.steps}, {"height_mae_running", average}};
+      {"step", last.step}, {"steps", settings.steps}, {watched.name(), watched.mean()}};
   record.save(options.out / "run.json");
-  if (interrupted() && last.step < options.config.steps) throw Interrupted{};
-  std::printf("%td steps done; weights in %s\n", options.config.steps,
+  if (interrupted() && last.step < settings.steps) throw Interrupted{};
+  std::printf("%td steps done; weights in %s\n", settings.steps,
               (options.out / "weights.safetensors").c_str());
+  if (watched.count() > 0)
+    std::printf("%s, mean of the last %td steps\n", watched.text().c_str(), watched.count());
 }
 
 void run_evaluate_dsm(const EvaluateDsmOptions& options) {

@@ -3,12 +3,14 @@
 
 #include "satsurf/rpc/fit.h"
 #include "satsurf/rpc/frame.h"
+#include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/simulate/scene.h"
 #include "satsurf/train/trainer.h"
 
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <variant>
 #include <vector>
 
 namespace satsurf::train {
@@ -48,11 +50,11 @@ void run_simulate(const SimulateOptions& options);
 /// What `train` is asked.
 struct TrainOptions {
   std::filesystem::path data, out, config_file;  ///< config_file may be empty
-  TrainConfig config;
+  std::variant<TrainConfig, MonoTrainConfig> config;
   std::uint64_t seed = 0;
   bool overwrite = false, resume = false;
 };
-/// Trains a network on a data set.
+/// Trains a network on a data set: which one is in the configuration.
 /// throws  Interrupted after saving a checkpoint
 void run_train(const TrainOptions& options);
 
@@ -111,6 +113,11 @@ void run_render(const RenderCommand& options);
 /// The file asked for; else the one SATSURF_WEIGHTS names; else the one shipped with the program.
 /// throws  IoError naming the places looked in
 std::filesystem::path find_weights(const std::filesystem::path& asked);
+/// A file that comes with the program, beside it when installed or in the sources when built there.
+/// what, flag  for the error text: what is missing, and where to name another
+/// throws      IoError naming the places
+std::filesystem::path find_shipped(const std::string& name, const std::string& what,
+                                   const std::string& flag);
 
 /// The frame of a surfel file, as comment lines of its header.
 std::vector<std::string> frame_comments(const rpc::LocalFrame& frame);

@@ -7,13 +7,15 @@
 #include "satsurf/train/log.h"
 #include "satsurf/train/record.h"
 
+#include <algorithm>
 #include <cstdio>
-#include <deque>
 #include <filesystem>
 #include <functional>
 #include <iostream>
 #include <new>
 #include <string>
+#include <utility>
+#include <variant>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -26,26 +28,40 @@ enum ExitCode { kDone = 0, kFailed = 1, kUsage = 2, kSignal = 128 };
 void complain(const std::string& text) { log_line(LogLevel::error, text); }
 
 /// Flags for every field of a configuration struct, and the order of precedence: flags, then
-/// --config, then defaults.
+/// --config, then defaults. A command may have several structs, of which one is in effect: a flag
+/// that two of them know is made once.
 template <HasFields S>
 class ConfigFlags {
  public:
-  ConfigFlags(CLI::App& command, const S& defaults) {
-    command
-        .add_option("--config", file_,
-                    "JSON file with any of the fields below, or the run.json of a run")
-        ->type_name("FILE");
-    command.add_flag("--print-config", print_, "print the configuration in effect and stop");
+  /// group     of the flags in the help
+  /// selector  the field that says which struct is in effect, if there are several
+  ConfigFlags(CLI::App& command, const S& defaults, const std::string& group = "Configuration",
+              const std::string& selector = {})
+      : command_(command) {
+    // a constant text, or CLI11 takes it for the variable to set
+    const std::string file_help =
+                          "JSON file with any of the fields below, or the run.json of a run",
+                      print_help = "print the configuration in effect and stop";
+    if (command.get_option_no_throw("--config") == nullptr) {
+      command.add_option("--config", file_help)->type_name("FILE");
+      command.add_flag("--print-config", print_help);
+    }
     for (const FieldInfo& field : describe(defaults)) {
+      const std::string name = "--" + field.name;
+      names_.push_back(field.name);
+      if (CLI::Option* known = command.get_option_no_throw(name)) {
+        if (field.name != selector && known->get_default_str() != field.value)
+          known->description(known->get_description() + "; " + group + ": " + field.value);
+        continue;
+      }
       std::string about = field.help;
       if (!field.range.empty()) about += " (" + field.range + ")";
       std::string type = field.type;
       if (!field.unit.empty()) type += " in " + field.unit;
-      Flag& flag = flags_.emplace_back(Flag{field.name, {}, nullptr});
-      flag.option = command.add_option("--" + field.name, flag.text, about)
-                        ->type_name(type)
-                        ->default_str(field.value)
-                        ->group("Configuration");
+      command.add_option(name, std::as_const(about))
+          ->type_name(type)
+          ->default_str(field.value)
+          ->group(group);
     }
   }
 
@@ -53,29 +69,37 @@ class ConfigFlags {
   S effective(S config, const std::string& where,
               const std::function<void(S&, const nlohmann::json&)>& from_file,
               const std::function<void(S&, const std::string&)>& changed) const {
-    if (!file_.empty()) {
-      const nlohmann::json json = load_config(file_);
+    if (!file().empty()) {
+      const nlohmann::json json = load_config(file());
       from_file(config, json);
-      from_json(json, config, file_);
+      from_json(json, config, file());
     }
-    for (const Flag& flag : flags_) {
-      if (flag.option->count() == 0) continue;
-      set_field(config, flag.name, flag.text, where);
-      changed(config, flag.name);
+    for (const std::string& name : names_) {
+      if (!given(name)) continue;
+      set_field(config, name, text(name), where);
+      changed(config, name);
     }
     return config;
   }
-  bool print() const { return print_; }
-  const std::string& file() const { return file_; }
+  /// throws  ConfigError if a flag of the other struct alone is there
+  template <HasFields Other>
+  void refuse(const ConfigFlags<Other>& other, const std::string& where) const {
+    for (const std::string& name : other.names())
+      if (given(name) && std::ranges::find(names_, name) == names_.end())
+        throw ConfigError(where + ": --" + name + " came, which it does not have");
+  }
+  bool print() const { return given("print-config"); }
+  std::string file() const { return given("config") ? text("config") : std::string(); }
+  const std::vector<std::string>& names() const { return names_; }
 
  private:
-  struct Flag {
-    std::string name, text;
-    CLI::Option* option;
-  };
-  std::string file_;
-  bool print_ = false;
-  std::deque<Flag> flags_;  // CLI11 keeps references
+  bool given(const std::string& name) const { return command_.count("--" + name) > 0; }
+  std::string text(const std::string& name) const {
+    return command_.get_option("--" + name)->as<std::string>();
+  }
+
+  CLI::App& command_;
+  std::vector<std::string> names_;
 };
 
 template <HasFields S>
@@ -153,6 +177,33 @@ void add_simulate(CLI::App& app, Common& common, std::function<void()>& run) {
   });
 }
 
+/// The network that flags or else the configuration file want trained.
+std::string task_of(const CLI::App& command, const std::string& file) {
+  if (command.count("--task") > 0) return command.get_option("--task")->as<std::string>();
+  if (file.empty()) return "surface";
+  const nlohmann::json json = load_config(file);
+  const bool told = json.is_object() && json.contains("task") && json["task"].is_string();
+  return told ? json["task"].get<std::string>() : "surface";
+}
+
+TrainConfig surface_config(const ConfigFlags<TrainConfig>& flags, const TrainConfig& defaults) {
+  const auto apply_preset = [](TrainConfig& t) {
+    t.model = nn::model_preset(t.preset);
+    static_cast<LossConfig&>(t) = loss_preset(t.preset);
+  };
+  return flags.effective(
+      defaults, "train",
+      [&](TrainConfig& t,
+          const nlohmann::json& json) {  // a file's preset comes before its model fields
+        if (!json.is_object() || !json.contains("preset") || !json["preset"].is_string()) return;
+        set_field(t, "preset", json["preset"].get<std::string>(), "train");
+        apply_preset(t);
+      },
+      [&](TrainConfig& t, const std::string& name) {
+        if (name == "preset") apply_preset(t);
+      });
+}
+
 void add_train(CLI::App& app, Common& common, std::function<void()>& run) {
   static TrainOptions o;
   CLI::App* c = add_command(app, common, "train", "train a network on scenes with true surfaces");
@@ -171,27 +222,24 @@ void add_train(CLI::App& app, Common& common, std::function<void()>& run) {
       ->excludes(resume);
   TrainConfig defaults;
   defaults.model = nn::model_preset(defaults.preset);
-  static ConfigFlags<TrainConfig> flags(*c, defaults);
-  c->callback([&, defaults] {
-    o.config_file = flags.file();
-    const auto apply_preset = [](TrainConfig& t) {
-      t.model = nn::model_preset(t.preset);
-      static_cast<LossConfig&>(t) = loss_preset(t.preset);
+  static ConfigFlags<TrainConfig> surface(*c, defaults);
+  static ConfigFlags<MonoTrainConfig> mono(*c, {}, "--task mono", "task");
+  c->callback([&, c, defaults] {
+    o.config_file = surface.file();
+    if (task_of(*c, surface.file()) == "mono") {
+      mono.refuse(surface, "train --task mono");
+      o.config = mono.effective(
+          {}, "train", [](auto&, auto&) {}, [](auto&, auto&) {});
+    } else {
+      surface.refuse(mono, "train --task surface");
+      o.config = surface_config(surface, defaults);
+    }
+    if (!surface.print() && o.data.empty()) throw CLI::RequiredError("--data");
+    if (!surface.print() && o.out.empty()) throw CLI::RequiredError("--out");
+    run = [] {
+      surface.print() ? std::visit([](const auto& config) { print_config(config); }, o.config)
+                      : run_train(o);
     };
-    o.config = flags.effective(
-        defaults, "train",
-        [&](TrainConfig& t,
-            const nlohmann::json& json) {  // a file's preset comes before its model fields
-          if (!json.is_object() || !json.contains("preset") || !json["preset"].is_string()) return;
-          set_field(t, "preset", json["preset"].get<std::string>(), "train");
-          apply_preset(t);
-        },
-        [&](TrainConfig& t, const std::string& name) {
-          if (name == "preset") apply_preset(t);
-        });
-    if (!flags.print() && o.data.empty()) throw CLI::RequiredError("--data");
-    if (!flags.print() && o.out.empty()) throw CLI::RequiredError("--out");
-    run = [] { flags.print() ? print_config(o.config) : run_train(o); };
   });
 }
 

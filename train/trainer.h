@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include "satsurf/nn/adamw.h"
 #include "satsurf/nn/model.h"
-#include "satsurf/train/dataset.h"
 #include "satsurf/train/loss.h"
-#include "satsurf/train/output_folder.h"
+#include "satsurf/train/training.h"
 
 #include <filesystem>
 #include <functional>
@@ -14,58 +12,31 @@
 
 namespace satsurf::train {
 
-/// Everything a training run depends on besides data and seed.
-struct TrainConfig : LossConfig {
-  std::string preset = "base8";  ///< starting point of `model`
+/// Everything the training of the surface network depends on besides data and seed.
+struct TrainConfig : TrainingSettings, LossConfig {
+  std::string preset = "base8";  ///< starting point of `model` and of the losses
   nn::ModelConfig model;
-  std::string init;  ///< weights file to start from, or empty for random weights
-  Index steps = 4000;
-  Index views = 3;   ///< source views per sample; one more is the target
-  Index crop = 128;  ///< window side, px
-  double lr = 1e-3;
-  double warmup = 0.03;  ///< share of the steps
-  double weight_decay = 0.01;
-  double clip = 0.5;             ///< global gradient norm
-  double range_jitter = 0.2;     ///< random widening of the height range, share of its span
-  double grey_share = 0.4;       ///< share of the samples made panchromatic
-  double radiometry = 0.15;      ///< random gain, offset and gamma of a sample
-  Index checkpoint_every = 200;  ///< steps
+  std::string mono_weights;   ///< of the monocular branch, from `--task mono`; see `train`
+  std::string mono_found;     ///< the file where `mono_weights` is empty; no field, not recorded
+  Index views = 3;            ///< source views per sample; one more is the target
+  double range_jitter = 0.2;  ///< random widening of the height range, share of its span
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
-    LossConfig::fields(s, v);
     v("preset", s.preset,
       Field{.help = "what the fields of network and losses start from",
             .choices = {"tiny", "tiny_full", "base8", "base16", "cascade8", "paper", "mvsplat_like",
                         "hisplat_like", "skysplat_like"}});
+    TrainingSettings::fields(s, v);
+    LossConfig::fields(s, v);
     v("model", s.model, Field{.help = "network"});
-    v("init", s.init, Field{.help = "weights to start from instead of random ones"});
-    v("steps", s.steps, Field{.help = "optimiser steps", .min = 1});
+    v("mono_weights", s.mono_weights,
+      Field{.help = "trained monocular branch; empty for the shipped one"});
     v("views", s.views, Field{.help = "source views per sample", .min = 2, .max = 8});
-    v("crop", s.crop, Field{.help = "side of the training windows", .unit = "px", .min = 8});
-    v("lr", s.lr, Field{.help = "peak learning rate", .min = 0, .max = 1});
-    v("warmup", s.warmup, Field{.help = "share of the steps before the peak", .min = 0, .max = 1});
-    v("weight_decay", s.weight_decay, Field{.help = "decoupled weight decay", .min = 0, .max = 1});
-    v("clip", s.clip, Field{.help = "largest global gradient norm", .min = 0});
     v("range_jitter", s.range_jitter,
       Field{.help = "random widening of the height range", .min = 0, .max = 2});
-    v("grey_share", s.grey_share,
-      Field{.help = "share of the samples made panchromatic", .min = 0, .max = 1});
-    v("radiometry", s.radiometry,
-      Field{.help = "random gain, offset and gamma of a sample", .min = 0, .max = 0.9});
-    v("checkpoint_every", s.checkpoint_every, Field{.help = "steps between checkpoints", .min = 1});
   }
 };
-
-/// One line of `train.jsonl`.
-struct StepReport {
-  Index step = 0, steps = 0;  ///< this one, from 1, and how many there will be
-  /// The objective and its numbers (see LossReport), learning rate, norm before clipping, time.
-  double loss = 0, height_mae = 0, colour_psnr = 0, lr = 0, grad_norm = 0, seconds = 0;
-};
-
-/// Called after every step; returning false stops after saving a checkpoint.
-using StepCallback = std::function<bool(const StepReport&)>;
 
 /// Trains on the scenes of a folder and writes `checkpoint.safetensors` (all that resuming needs),
 /// `weights.safetensors` (the model alone) and `train.jsonl`.
@@ -77,7 +48,8 @@ using StepCallback = std::function<bool(const StepReport&)>;
 /// resume    go on from `out/checkpoint.safetensors`, bit for bit as if never interrupted
 /// callback  may be empty
 /// reading   told before each scene is read which share of them has been; may throw to stop
-/// throws    IoError, ConfigError
+/// throws    IoError, ConfigError; also where the model has a monocular branch and neither `init`
+///           nor `mono_weights` says from which file: it is not trained here
 void train(const TrainConfig& config, const std::filesystem::path& data, OutputFolder out,
            std::uint64_t seed, bool resume, const StepCallback& callback,
            const std::function<void(double)>& reading = {});
@@ -91,6 +63,13 @@ nn::Model load_model(const std::filesystem::path& path);
 /// throws  IoError
 void save_model(const std::filesystem::path& path, const nn::Model& model,
                 const std::map<std::string, std::string>& origin = {});
+
+/// Puts a trained monocular network into a model's branch.
+/// throws  IoError if the file holds none, or one of another configuration
+void load_mono_branch(nn::Model& model, const std::filesystem::path& path);
+
+/// Before the names of a model's parameters in a file.
+constexpr const char* kModelPrefix = "model.";
 
 /// Adds a model to a file that holds more: tensors `model.*`, metadata `format` and `model` (its
 /// configuration).

@@ -105,6 +105,23 @@ succeeds "info of weights" "$satsurf" info $weights
 holds "it says what they were trained on" grep -qE "training +24 steps on 2 scenes, seed 9; .*\"crop\":32" stdout
 holds "and by which program" grep -qE "program +satsurf [0-9.]+ \(.+\)" stdout
 
+# The monocular network: the same program, another task.
+mono=(--task mono --mono.base 2 --crop 32 --steps 8 --seed 9 --quiet)
+succeeds "train mono" "$satsurf" train --data data --out mono "${mono[@]}"
+holds "it says how well heights correlate" grep -qE "^correlation -?[0-9.]+, mean of the last [0-9]+ steps" stdout
+holds "one line per step of mono" test "$(wc -l <mono/train.jsonl)" -eq 8
+succeeds "mono from its record" "$satsurf" train --data data --out mono2 --config mono/run.json --seed 9 --quiet --threads 1
+holds "same seed, same network" cmp mono/weights.safetensors mono2/weights.safetensors
+succeeds "mono again, nothing left to do" "$satsurf" train --data data --out mono2 "${mono[@]}" --resume
+holds "and nothing done" cmp mono/checkpoint.safetensors mono2/checkpoint.safetensors
+succeeds "info of mono weights" "$satsurf" info mono/weights.safetensors
+holds "it says what they are" grep -qE "network +monocular, [0-9]+ weights; .\"base\":2" stdout
+holds "and what they were trained on" grep -qE "training +8 steps on 2 scenes, seed 9; .*\"task\":\"mono\"" stdout
+refuses "reconstructing with mono weights" 1 "mono/weights.safetensors: not a satsurf model" \
+  "$satsurf" reconstruct "${images[@]}" --out no --weights mono/weights.safetensors --quiet
+refuses "resuming another task" 2 "mono/checkpoint.safetensors: made with another configuration" \
+  "$satsurf" train --data data --out mono "${tiny[@]}" --resume
+
 succeeds "dry run" "$satsurf" reconstruct "${images[@]}" --dry-run --out out --weights $weights --quiet
 holds "it says what would be done" grep -qE "surface +[0-9]+ x [0-9]+ cells" stdout
 holds "it says what that takes" grep -qE "memory +about [0-9.]+ [MG]B" stdout
@@ -197,6 +214,11 @@ holds "the file beats the default" grep -q '"steps": 7' stdout
 holds "the flag beats the file" grep -q '"lr": 0.25' stdout
 succeeds "a run's record is a configuration" "$satsurf" train --config whole/run.json --print-config
 holds "with its values" grep -q '"crop": 32' stdout
+succeeds "mono has its own defaults" "$satsurf" train --task mono --lr 0.25 --print-config
+holds "its crop" grep -q '"crop": 256' stdout
+holds "the flag beats them" grep -q '"lr": 0.25' stdout
+succeeds "a configuration names its task" "$satsurf" train --config mono/run.json --print-config
+holds "with the task's fields" grep -q '"batch": 2' stdout
 echo '{"stepz": 7}' >typo.json
 refuses "unknown key" 2 "typo.json.*stepz.*steps" "$satsurf" train --config typo.json --data data --out no
 echo '{"steps": ' >broken.json
@@ -210,6 +232,10 @@ refuses "a number out of range" 2 "lr.*2" "$satsurf" train --data data --out no 
 refuses "no number" 2 "steps.*many" "$satsurf" train --data data --out no --steps many
 refuses "unknown preset" 2 "huge.*base8" "$satsurf" train --data data --out no --preset huge
 refuses "crop that does not fit" 2 "crop" "$satsurf" train --data data --out no --preset tiny --crop 33
+refuses "unknown task" 2 "task.*mini.*surface, mono" "$satsurf" train --data data --out no --task mini
+refuses "a flag of another task" 2 "task mono: --views" "$satsurf" train --data data --out no --task mono --views 3
+refuses "a flag of the other task" 2 "task surface: --batch" "$satsurf" train --data data --out no --batch 3
+refuses "crop that does not fit mono" 2 "crop is 48, expected a multiple of 32" "$satsurf" train --data data --out no --task mono --crop 48
 refuses "heights the wrong way round" 2 "height-range" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 50 10
 refuses "unknown registration" 2 "xy.*none, z or xyz" "$satsurf" evaluate --dsm $truth --truth $truth --register xy
 refuses "a picture without a reference" 2 "--reference" "$satsurf" evaluate --image out/height.png

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/rng.h"
+#include "satsurf/nn/scene.h"
+
+namespace satsurf::train {
+
+/// How a sample's images are made to look: c -> gain c^gamma + offset, clipped to [0, 1].
+struct Radiometry {
+  double gain = 1, offset = 0, gamma = 1;
+  bool grey = false;  ///< luminance only
+};
+/// amount      largest relative change of gain and gamma, twice that of the offset
+/// grey_share  how often it is grey
+Radiometry random_radiometry(double amount, double grey_share, Rng& rng);
+/// Changes the valid pixels of a view.
+void apply(const Radiometry& radiometry, nn::View& view);
+
+/// One of the eight symmetries of the square: bit 0 mirrors columns, bit 1 mirrors rows, bit 2 swaps
+/// the two before.
+/// map       [S S] or [C S S]
+/// symmetry  0 to 7
+/// throws    ShapeError
+Tensor turned(const Tensor& map, Index symmetry);
+
+}  // namespace satsurf::train

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/fields_json.h"
+#include "satsurf/nn/module.h"
+#include "satsurf/train/dataset.h"
+#include "satsurf/train/output_folder.h"
+
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace satsurf::train {
+
+/// What every training run has, whatever network it trains.
+struct TrainingSettings {
+  std::string task = "surface";  ///< which network
+  std::string init;              ///< weights file to start from, or empty for random weights
+  Index steps = 4000;
+  Index crop = 128;  ///< window side, px
+  double lr = 1e-3;
+  double warmup = 0.03;  ///< share of the steps
+  double weight_decay = 0.01;
+  double clip = 0.5;             ///< global gradient norm
+  double grey_share = 0.4;       ///< share of the samples made panchromatic
+  double radiometry = 0.15;      ///< random gain, offset and gamma of a sample
+  Index checkpoint_every = 200;  ///< steps
+
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("task", s.task,
+      Field{.help = "network to train: the one that makes surfaces of two or more images, or the "
+                    "one that sees relative heights in a single image",
+            .choices = {"surface", "mono"}});
+    v("init", s.init, Field{.help = "weights to start from instead of random ones"});
+    v("steps", s.steps, Field{.help = "optimiser steps", .min = 1});
+    v("crop", s.crop, Field{.help = "side of the training windows", .unit = "px", .min = 8});
+    v("lr", s.lr, Field{.help = "peak learning rate", .min = 0, .max = 1});
+    v("warmup", s.warmup, Field{.help = "share of the steps before the peak", .min = 0, .max = 1});
+    v("weight_decay", s.weight_decay, Field{.help = "decoupled weight decay", .min = 0, .max = 1});
+    v("clip", s.clip, Field{.help = "largest global gradient norm", .min = 0});
+    v("grey_share", s.grey_share,
+      Field{.help = "share of the samples made panchromatic", .min = 0, .max = 1});
+    v("radiometry", s.radiometry,
+      Field{.help = "random gain, offset and gamma of a sample", .min = 0, .max = 0.9});
+    v("checkpoint_every", s.checkpoint_every, Field{.help = "steps between checkpoints", .min = 1});
+  }
+};
+
+/// The objective of one step, and what it says in numbers.
+struct StepLoss {
+  Var total;                                          ///< scalar
+  std::vector<std::pair<std::string, double>> terms;  ///< as `train.jsonl` names them; may be NaN
+};
+
+/// One line of `train.jsonl`.
+struct StepReport {
+  Index step = 0, steps = 0;  ///< this one, from 1, and how many there will be
+  /// The objective, learning rate, norm before clipping, time.
+  double loss = 0, lr = 0, grad_norm = 0, seconds = 0;
+  std::vector<std::pair<std::string, double>> terms{};  ///< of the objective
+
+  /// NaN if there is none of that name.
+  double term(const std::string& name) const;
+};
+
+/// Called after every step; returning false stops after saving a checkpoint.
+using StepCallback = std::function<bool(const StepReport&)>;
+
+/// A network in training, and what it is taught.
+class TrainingTask {
+ public:
+  virtual ~TrainingTask() = default;
+  virtual nn::ParameterSet<float>& parameters() = 0;
+  /// Before the name of every parameter in a file.
+  virtual std::string prefix() const = 0;
+  /// Adds the network to a file: its configuration and its parameters under `prefix()`.
+  virtual void store(TensorFile& file) const = 0;
+  /// Step number `step`, from 0, with the parameters as they are: a pure function of both.
+  virtual StepLoss loss(Index step) const = 0;
+};
+
+/// Optimises a network with AdamW and a one-cycle learning rate, and writes
+/// `checkpoint.safetensors` (all that resuming needs), `weights.safetensors` (the network alone)
+/// and `train.jsonl`.
+/// task      the network and its objective
+/// settings  of the run
+/// config    all settings, which the files keep and which must be the same to resume
+/// scenes    trained on, for the files to tell
+/// out, seed, resume, callback  as `train`
+/// throws    IoError, ConfigError; Error if loss or gradient is not finite
+void run_training(TrainingTask& task, const TrainingSettings& settings,
+                  const nlohmann::json& config, std::size_t scenes, OutputFolder out,
+                  std::uint64_t seed, bool resume, const StepCallback& callback);
+
+/// All scenes of a data set, each with the truth.
+/// least    images of each
+/// reading  told before each scene is read which share of them has been; may throw to stop
+/// throws   IoError
+std::vector<Scene> training_scenes(const std::filesystem::path& folder, Index least,
+                                   const std::function<void(double)>& reading);
+
+}  // namespace satsurf::train
