@@ -1,16 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
+#include "satsurf/core/safetensors.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/train/evaluate.h"
+#include "satsurf/train/simulate/scene.h"
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <limits>
+#include <string>
+#include <vector>
 
+#include "tests/temp_folder.h"
 #include <doctest/doctest.h>
 #include <nlohmann/json.hpp>
 
 using namespace satsurf;
 using namespace satsurf::train;
+using satsurf::test::error_of;
 namespace fs = std::filesystem;
 
 namespace {
@@ -32,8 +40,50 @@ SceneScores scores(const std::string& name, double mae, double psnr_db) {
   s.dsm.registered.mae = mae, s.dsm.registered.pag2_5 = 0.5;
   s.dsm.raw.mae = 2 * mae;
   s.dsm.shift = {0, 0, -1.5};
-  s.target_psnr = psnr_db;
+  s.target.psnr = psnr_db, s.target.ssim = 0.75;
+  s.registered[2].filled.mae = 3 * mae, s.registered[2].shift = {0.5, -1, 2};
   return s;
+}
+
+std::vector<std::string> parts_of(const std::string& text, char separator) {
+  std::vector<std::string> parts{""};
+  for (const char c : text)
+    if (c == separator)
+      parts.emplace_back();
+    else
+      parts.back() += c;
+  return parts;
+}
+std::vector<std::string> cells_of(const std::string& row) { return parts_of(row, ','); }
+std::vector<std::string> lines_of(const std::string& text) {
+  std::vector<std::string> lines = parts_of(text, '\n');
+  lines.pop_back();  // after the last line's end
+  return lines;
+}
+
+/// A small made-up scene with four views, as read from disk.
+Scene small_scene(const fs::path& folder) {
+  SimulateConfig c = SimulateConfig();
+  c.pixels = 64, c.views = 4, c.gsd = 0.5;
+  write_scene(simulate_scene(c, 21, 0), folder, "SIM_001");
+  return load_scene(folder, "SIM_001");
+}
+
+/// A network of few channels with known weights, see golden/make_image_golden.py.
+nn::Lpips small_lpips() {
+  const TensorFile golden =
+      load_safetensors(fs::path(__FILE__).parent_path() / "golden" / "image_golden.safetensors");
+  TensorFile file;
+  const std::string prefix = "lpips.alex.";
+  for (const auto& [name, tensor] : golden.tensors)
+    if (name.starts_with(prefix)) file.tensors[name.substr(prefix.size())] = tensor.clone();
+  return nn::Lpips(file, "alex");
+}
+
+/// All numbers but the time.
+std::string text_of(DataScores scores) {
+  for (SceneScores& s : scores.scenes) s.seconds = 0;
+  return scores_json(scores).dump(1) + scores_csv(scores.scenes);
 }
 
 }  // namespace
@@ -55,6 +105,31 @@ TEST_CASE("scores of a data set") {
   const std::string csv = scores_csv(all);
   CHECK(csv.starts_with("scene,dsm_mae,dsm_rmse,dsm_median,dsm_nmad,dsm_pag1,dsm_pag2.5,"));
   CHECK(csv.find("\na,1,0,0,0,0,0.5,") != std::string::npos);
+  // every row has every column, and the mean those of the JSON
+  const auto rows = lines_of(csv);
+  REQUIRE(rows.size() == 4);
+  const std::vector<std::string> names = cells_of(rows[0]);
+  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 6);
+  for (const std::string& row : rows) CHECK(cells_of(row).size() == names.size());
+  REQUIRE(j["mean"].size() == names.size() - 1);
+  Index column = 1;
+  for (const auto& [name, value] : j["mean"].items())
+    CHECK(names[static_cast<std::size_t>(column++)] == name);
+  const auto at = [&](const char* name) {
+    return static_cast<std::size_t>(std::find(names.begin(), names.end(), name) - names.begin());
+  };
+  CHECK(cells_of(rows[2])[at("dsm_filled_xyz_mae")] == "9");
+  CHECK(cells_of(rows[2])[at("dsm_xyz_north")] == "-1");
+  CHECK(cells_of(rows[2])[at("render_target_psnr")].empty());
+  CHECK(cells_of(rows[3])[at("dsm_filled_xyz_mae")] == "6");
+  CHECK(cells_of(rows[3])[at("render_target_psnr")] == "20");
+  CHECK(cells_of(rows[3])[at("render_target_lpips")].empty());
+  CHECK(j["mean"]["render_target_ssim"] == 0.75);
+  CHECK(j["mean"]["render_target_lpips"].is_null());
+  CHECK(j["lpips_backbone"].is_null());
+  const auto& xyz = j["scenes"][1]["dsm_by_registration"]["xyz"];
+  CHECK(xyz["holes_filled"]["mae"] == 9);
+  CHECK(xyz["shift_m"][0] == 0.5);
   CHECK(csv.find("\nmean,2,") != std::string::npos);
   CHECK(csv.find("nan") == std::string::npos);
   CHECK(scores_csv({}).empty());
@@ -116,4 +191,82 @@ TEST_CASE("seen_by_two: only ground inside two images counts") {
   CHECK(mask[30 * 80 + 45] == 0);  // unknown
   const Tensor one = seen_by_two(truth, frame, {both[0]});
   for (const float v : one.values()) REQUIRE(v == 0);
+}
+
+TEST_CASE("a scene's scores") {
+  const Folder folder;
+  const Scene scene = small_scene(folder.path);
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  const nn::Lpips lpips = small_lpips();
+  EvaluateOptions options;
+  options.registration = Registration::z;
+  options.lpips = &lpips;
+
+  const auto scored = [&](int n) {
+    const int before = threads();
+    set_threads(n);
+    DataScores out;
+    out.scenes.push_back(evaluate_scene(model, scene, options, &out.confidence));
+    set_threads(before);
+    return out;
+  };
+  const DataScores all = scored(1);
+  CHECK(text_of(all) == text_of(scored(2)));  // to the bit
+
+  const SceneScores& s = all.scenes[0];
+  REQUIRE(s.dsm.registered.compared > 100);
+  const auto& [none, z, xyz] = s.registered;
+  CHECK(none.scores.mae == s.dsm.raw.mae);
+  CHECK(z.scores.mae == s.dsm.registered.mae);  // what was asked for
+  CHECK(z.shift == s.dsm.shift);
+  CHECK(none.shift == std::array<double, 3>{0, 0, 0});
+  CHECK(xyz.scores.truth > 0);
+  for (const RegisteredScores& r : s.registered) {
+    CHECK(r.filled.truth == r.scores.truth);
+    CHECK(r.filled.compared == r.filled.truth);
+    CHECK(r.filled.pag2_5 >= r.scores.pag2_5);  // cells that were known stay as they were
+  }
+  CHECK(s.mvs_source.compared == all.confidence.mvs_source.pixels());
+  CHECK(s.dsm.registered.compared == all.confidence.dsm.pixels());
+  // not the same, but views of one scene are alike
+  CHECK(s.mvs_source_rmse_per_view != s.mvs_source.rmse);
+  CHECK(s.mvs_source_rmse_per_view == doctest::Approx(s.mvs_source.rmse).epsilon(0.1));
+  CHECK(std::isfinite(s.target.psnr));
+  CHECK(std::isfinite(s.target.ssim));
+  CHECK(s.target.ssim_conv < 1);
+  CHECK(s.target.lpips.value() > 0);
+  const auto j = scores_json(all);
+  CHECK(j["lpips_backbone"] == "alex");
+  CHECK(j["mean"]["render_target_lpips"] == *s.target.lpips);
+  for (const char* of : {"mvs_source", "dsm"}) {
+    CHECK(j["confidence"][of]["equal_width"].size() == 10);
+    CHECK(j["confidence"][of]["monotone"].is_boolean());
+  }
+
+  SUBCASE("without a target nothing is said of one") {
+    Scene fewer = scene;
+    fewer.views.resize(3);
+    const SceneScores t = evaluate_scene(model, fewer, options);
+    CHECK(t.render_target.truth == 0);
+    CHECK(std::isnan(t.render_target.mae));
+    CHECK(std::isnan(t.target.psnr));
+    CHECK(!t.target.lpips);
+    CHECK(t.dsm.registered.mae == s.dsm.registered.mae);
+    const auto mean = scores_json(std::vector{s, t})["mean"];
+    CHECK(mean["render_target_mae"] == s.render_target.mae);
+  }
+  SUBCASE("refusals") {
+    Scene other = scene;
+    other.views.resize(2);
+    CHECK(error_of<IoError>([&] { evaluate_scene(model, other, options); }) ==
+          folder.path.string() + ": 2 images of SIM_001, wanted 3 or more");
+    other = scene;
+    other.truth.reset();
+    CHECK(error_of<IoError>([&] { evaluate_scene(model, other, options); }) ==
+          scene.truth_file.string() + ": no such file, wanted the truth to score against");
+    options.window = 16;
+    CHECK(error_of<IoError>([&] { evaluate_scene(model, scene, options); }) ==
+          folder.path.string() + ": a window of 16 px in SIM_001, wanted at least " +
+              std::to_string(lpips.smallest_side()) + " px for LPIPS (alex)");
+  }
 }

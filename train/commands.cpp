@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/commands.h"
 
-#include "satsurf/core/atomic_file.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/train/evaluate.h"
@@ -110,14 +109,6 @@ class RecentTerm {
   std::string term_, format_;
   std::deque<double> values_;
 };
-
-/// throws IoError if two results would go into one file
-void check_distinct(const std::pair<fs::path, fs::path>& files) {
-  if (files.first.empty() || files.second.empty()) return;
-  if (fs::weakly_canonical(fs::absolute(files.first)) ==
-      fs::weakly_canonical(fs::absolute(files.second)))
-    throw IoError(files.first.string() + ": named for two results, wanted two names");
-}
 
 /// The branch that comes with the program, where a new run needs one and names none.
 void find_branch(TrainConfig& config, bool resume) {
@@ -258,58 +249,6 @@ void run_evaluate_dsm(const EvaluateDsmOptions& options) {
     print_scores("registered", c.registered);
   }
   warn_of_datum(c.raw);
-}
-
-void run_evaluate_data(const EvaluateDataOptions& options) {
-  const fs::path weights = find_weights(options.weights);
-  check_output_file("--json", options.json, options.overwrite, {weights, options.data});
-  check_output_file("--csv", options.csv, options.overwrite, {weights, options.data});
-  check_distinct({options.csv, options.json});
-  const nn::Model model = load_model(weights);
-  Progress progress;
-  EvaluateOptions how;
-  how.views = options.views;
-  how.registration = registration_from(options.registration);
-  how.mask_water = options.mask_water;
-  how.progress = [&](const std::string& stage, double fraction) {
-    if (interrupted()) throw Interrupted{};
-    progress.update(stage, fraction);
-  };
-  nlohmann::json config{{"data", options.data},
-                        {"weights", weights},
-                        {"views", options.views},
-                        {"register", options.registration},
-                        {"mask_water", options.mask_water}};
-  RunRecord record("evaluate", config, 0);
-  const std::vector<SceneScores> scores = evaluate_data(model, options.data, how);
-  const nlohmann::ordered_json table = scores_json(scores);
-  if (!options.json.empty()) {
-    record.add_input(weights);
-    record.add_input(options.data);
-    record.results() = table;
-    record.save(options.json);
-  }
-  if (!options.csv.empty()) atomic_write(options.csv, scores_csv(scores));
-
-  std::printf("%-16s %9s %9s %9s %9s %9s %9s %9s %9s\n", "scene", "MAE m", "RMSE m", "<1 m",
-              "<2.5 m", "<7.5 m", "complete", "source m", "PSNR dB");
-  const auto print = [](const std::string& name, double mae, double rmse, double p1, double p2,
-                        double p7, double complete, double source, double psnr_db) {
-    std::printf("%-16s %9.3f %9.3f %8.1f%% %8.1f%% %8.1f%% %8.1f%% %9.3f %9.2f\n", name.c_str(),
-                mae, rmse, 100 * p1, 100 * p2, 100 * p7, 100 * complete, source, psnr_db);
-  };
-  for (const SceneScores& s : scores) {
-    const HeightScores& d = s.dsm.registered;
-    print(s.name, d.mae, d.rmse, d.pag1, d.pag2_5, d.pag7_5, d.completeness, s.mvs_source.mae,
-          s.target_psnr);
-  }
-  const auto mean = [&](const char* key) {
-    const auto& v = table["mean"][key];
-    return v.is_null() ? std::nan("") : v.get<double>();
-  };
-  print("mean", mean("dsm_mae"), mean("dsm_rmse"), mean("dsm_pag1"), mean("dsm_pag2.5"),
-        mean("dsm_pag7.5"), mean("dsm_completeness"), mean("mvs_source_mae"),
-        mean("render_target_psnr"));
 }
 
 }  // namespace satsurf::train

@@ -83,7 +83,8 @@ void run_evaluate_dsm(const EvaluateDsmOptions& options);
 
 /// What `evaluate --data` is asked.
 struct EvaluateDataOptions {
-  std::filesystem::path data, weights, json, csv;  ///< the last three may be empty
+  /// All but the first may be empty.
+  std::filesystem::path data, weights, json, csv, lpips_weights, confidence_csv, confidence_figure;
   std::string registration = "none";
   Index views = 3;
   bool mask_water = true, overwrite = false;

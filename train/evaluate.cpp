@@ -3,14 +3,14 @@
 
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/var.h"
+#include "satsurf/train/fill.h"
 #include "satsurf/train/reconstruct.h"
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <limits>
-#include <utility>
+#include <string>
 
 namespace satsurf::train {
 namespace {
@@ -36,14 +36,42 @@ double middle_height(const Scene& scene) {
   return std::isfinite(v) ? static_cast<double>(v) : (scene.z_low + scene.z_high) / 2;
 }
 
-/// Heights in the source views and the rendered target, in a window around the middle of the truth.
+Tensor difference(const Tensor& a, const Tensor& b) {
+  Tensor out = a.clone();
+  for (Index i = 0; i < out.count(); ++i) out[i] -= b[i];
+  return out;
+}
+
+/// The DSM by every registration, as it is and with its holes filled.
+void score_dsm(const Reconstruction& made, const HeightField& truth, const Tensor& mask,
+               Registration asked, SceneScores& out, ConfidenceScores* confidence) {
+  for (const Registration r : {Registration::none, Registration::z, Registration::xyz}) {
+    const DsmComparison c = compare_dsm(made.dsm, truth, r, mask);
+    RegisteredScores& scores = out.registered[static_cast<std::size_t>(r)];
+    scores = {c.registered, score_heights(filled(c.surface), truth.z, mask), c.shift};
+    if (r == asked) out.dsm = c;
+  }
+  if (confidence == nullptr) return;
+  const HeightField sure{made.confidence, made.dsm.x0 + out.dsm.shift[0],
+                         made.dsm.y0 + out.dsm.shift[1], made.dsm.step};
+  confidence->dsm.add(resample(sure, truth), out.dsm.error);
+}
+
+/// Heights and colours in the source views and the rendered target, in a window around the middle
+/// of the truth.
 void score_views(const nn::Model& model, const Scene& scene, const EvaluateOptions& options,
-                 const std::vector<Index>& sources, SceneScores& out) {
+                 const std::vector<Index>& sources, SceneScores& out,
+                 ConfidenceScores* confidence) {
   const Index multiple = nn::size_multiple(model.config());
   Index side = options.window;
   for (const SceneView& v : scene.views) side = std::min({side, v.rgb.dim(1), v.rgb.dim(2)});
   side = std::max(multiple, side / multiple * multiple);
   const bool has_target = scene.views.size() > sources.size();
+  if (has_target && options.lpips != nullptr && side < options.lpips->smallest_side())
+    throw IoError(scene.images.string() + ": a window of " + std::to_string(side) + " px in " +
+                  scene.name + ", wanted at least " +
+                  std::to_string(options.lpips->smallest_side()) + " px for LPIPS (" +
+                  nn::lpips_backbone_name(options.lpips->backbone()) + ")");
   const HeightField& truth = *scene.truth;
   const double x = truth.x0 + truth.step * static_cast<double>(truth.z.dim(1)) / 2;
   const double y = truth.y0 - truth.step * static_cast<double>(truth.z.dim(0)) / 2;
@@ -53,13 +81,20 @@ void score_views(const nn::Model& model, const Scene& scene, const EvaluateOptio
       middle_height(scene), side, scene.z_low, scene.z_high, true);
   const auto stages = model.forward(crop.input);
   std::vector<Tensor> found, known;
+  double rmse = 0, scored = 0;
   for (std::size_t i = 0; i < sources.size(); ++i) {
     found.push_back(stages[2].height.value().slice0(static_cast<Index>(i)));
     known.push_back(crop.source_truth[2][i].clone());
     for (Index p = 0; p < known[i].count(); ++p)
       if (crop.input.sources[i].valid[p] <= 0) known[i][p] = kNan;  // no image, nothing to find
+    const double of_view = score_heights(found[i], known[i]).rmse;
+    if (std::isfinite(of_view)) rmse += of_view, scored += 1;
+    if (confidence != nullptr)
+      confidence->mvs_source.add(stages[2].confidence.value().slice0(static_cast<Index>(i)),
+                                 difference(found[i], known[i]));
   }
   out.mvs_source = score_heights(stacked(found), stacked(known));
+  out.mvs_source_rmse_per_view = scored > 0 ? rmse / scored : std::nan("");
   if (!has_target) return;
 
   const auto render =
@@ -68,56 +103,10 @@ void score_views(const nn::Model& model, const Scene& scene, const EvaluateOptio
   for (Index p = 0; p < height.count(); ++p)
     if (render.alpha.value()[p] < 0.5f) height[p] = kNan, mask[p] = 0;  // seen by no source view
   out.render_target = score_heights(height, crop.target_truth, crop.target->valid);
-  out.target_psnr = psnr(render.colour.value(), crop.target->rgb, mask);
-}
-
-/// Names and values of the numbers that go into tables.
-std::vector<std::pair<std::string, double>> row_of(const SceneScores& s) {
-  return {{"dsm_mae", s.dsm.registered.mae},
-          {"dsm_rmse", s.dsm.registered.rmse},
-          {"dsm_median", s.dsm.registered.median},
-          {"dsm_nmad", s.dsm.registered.nmad},
-          {"dsm_pag1", s.dsm.registered.pag1},
-          {"dsm_pag2.5", s.dsm.registered.pag2_5},
-          {"dsm_pag7.5", s.dsm.registered.pag7_5},
-          {"dsm_completeness", s.dsm.registered.completeness},
-          {"mvs_source_mae", s.mvs_source.mae},
-          {"mvs_source_pag2.5", s.mvs_source.pag2_5},
-          {"mvs_source_pag7.5", s.mvs_source.pag7_5},
-          {"render_target_mae", s.render_target.mae},
-          {"render_target_pag2.5", s.render_target.pag2_5},
-          {"render_target_pag7.5", s.render_target.pag7_5},
-          {"render_target_psnr", s.target_psnr},
-          {"seconds", s.seconds}};
-}
-
-/// JSON has no NaN; null says that a number does not exist.
-nlohmann::ordered_json number(double v) {
-  return std::isfinite(v) ? nlohmann::ordered_json(v) : nlohmann::ordered_json(nullptr);
+  out.target = score_images(render.colour.value(), crop.target->rgb, mask, options.lpips);
 }
 
 }  // namespace
-
-nlohmann::ordered_json scores_json(const HeightScores& s) {
-  return {{"truth_cells", s.truth},
-          {"compared_cells", s.compared},
-          {"completeness", number(s.completeness)},
-          {"mae", number(s.mae)},
-          {"rmse", number(s.rmse)},
-          {"median", number(s.median)},
-          {"nmad", number(s.nmad)},
-          {"pag1", number(s.pag1)},
-          {"pag2.5", number(s.pag2_5)},
-          {"pag7.5", number(s.pag7_5)},
-          {"pag1_compared", number(s.pag1_compared)},
-          {"pag2.5_compared", number(s.pag2_5_compared)},
-          {"pag7.5_compared", number(s.pag7_5_compared)}};
-}
-
-nlohmann::ordered_json scores_json(const DsmComparison& c) {
-  return {
-      {"raw", scores_json(c.raw)}, {"registered", scores_json(c.registered)}, {"shift_m", c.shift}};
-}
 
 Tensor not_water(const Tensor& classes) {
   Tensor mask = classes.clone();
@@ -170,7 +159,7 @@ DsmPair load_dsm_pair(const std::filesystem::path& prediction, const std::filesy
 }
 
 SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
-                           const EvaluateOptions& options) {
+                           const EvaluateOptions& options, ConfidenceScores* confidence) {
   if (static_cast<Index>(scene.views.size()) < options.views)
     throw IoError(scene.images.string() + ": " + std::to_string(scene.views.size()) +
                   " images of " + scene.name + ", wanted " + std::to_string(options.views) +
@@ -198,16 +187,17 @@ SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
     const Tensor dry = not_water(scene.classes);
     for (Index i = 0; i < mask.count(); ++i) mask[i] *= dry[i];
   }
-  out.dsm = compare_dsm(made.dsm, *scene.truth, options.registration, mask);
-  out.target_psnr = std::nan("");
-  score_views(model, scene, options, sources, out);
+  score_dsm(made, *scene.truth, mask, options.registration, out, confidence);
+  out.render_target = score_heights(Tensor({1, 1}, kNan), Tensor({1, 1}, kNan));  // none so far
+  out.target.psnr = out.target.ssim = out.target.ssim_conv = std::nan("");
+  score_views(model, scene, options, sources, out, confidence);
   return out;
 }
 
-std::vector<SceneScores> evaluate_data(const nn::Model& model, const std::filesystem::path& folder,
-                                       const EvaluateOptions& options) {
+DataScores evaluate_data(const nn::Model& model, const std::filesystem::path& folder,
+                         const EvaluateOptions& options) {
   const std::vector<std::string> names = list_scenes(folder);
-  std::vector<SceneScores> scores;
+  DataScores out;
   for (std::size_t i = 0; i < names.size(); ++i) {
     if (options.progress)
       options.progress("evaluate " + names[i],
@@ -218,54 +208,10 @@ std::vector<SceneScores> evaluate_data(const nn::Model& model, const std::filesy
         options.progress("evaluate " + names[i],
                          (static_cast<double>(i) + f) / static_cast<double>(names.size()));
       };
-    scores.push_back(evaluate_scene(model, load_scene(folder, names[i]), inner));
+    out.scenes.push_back(
+        evaluate_scene(model, load_scene(folder, names[i]), inner, &out.confidence));
   }
-  return scores;
-}
-
-nlohmann::ordered_json scores_json(const std::vector<SceneScores>& scores) {
-  nlohmann::ordered_json out{{"scenes", nlohmann::ordered_json::array()}};
-  std::vector<std::pair<std::string, std::pair<double, int>>> sums;
-  for (const SceneScores& s : scores) {
-    out["scenes"].push_back({{"name", s.name},
-                             {"dsm", scores_json(s.dsm)},
-                             {"mvs_source", scores_json(s.mvs_source)},
-                             {"render_target", scores_json(s.render_target)},
-                             {"render_target_psnr", number(s.target_psnr)},
-                             {"seconds", s.seconds}});
-    const auto row = row_of(s);
-    if (sums.empty())
-      for (const auto& [name, value] : row) sums.push_back({name, {0, 0}});
-    for (std::size_t k = 0; k < row.size(); ++k)
-      if (std::isfinite(row[k].second))
-        sums[k].second.first += row[k].second, sums[k].second.second += 1;
-  }
-  out["mean"] = nlohmann::ordered_json::object();
-  for (const auto& [name, sum] : sums)
-    out["mean"][name] = number(sum.second > 0 ? sum.first / sum.second : std::nan(""));
   return out;
-}
-
-std::string scores_csv(const std::vector<SceneScores>& scores) {
-  if (scores.empty()) return {};
-  std::string text = "scene";
-  for (const auto& [name, value] : row_of(scores[0])) text += "," + name;
-  text += "\n";
-  const auto cell = [](double v) {
-    char digits[32];
-    std::snprintf(digits, sizeof digits, "%.6g", v);
-    return std::isfinite(v) ? std::string(digits) : std::string();
-  };
-  for (const SceneScores& s : scores) {
-    text += s.name;
-    for (const auto& [name, value] : row_of(s)) text += "," + cell(value);
-    text += "\n";
-  }
-  text += "mean";
-  const nlohmann::ordered_json mean = scores_json(scores)["mean"];
-  for (const auto& [name, value] : row_of(scores[0]))
-    text += "," + (mean[name].is_null() ? std::string() : cell(mean[name].get<double>()));
-  return text + "\n";
 }
 
 }  // namespace satsurf::train

@@ -3,9 +3,12 @@
 
 #include "satsurf/nn/model.h"
 #include "satsurf/rpc/raster.h"
+#include "satsurf/train/confidence.h"
 #include "satsurf/train/dataset.h"
+#include "satsurf/train/image_metrics.h"
 #include "satsurf/train/metrics.h"
 
+#include <array>
 #include <filesystem>
 #include <functional>
 #include <optional>
@@ -54,36 +57,70 @@ struct EvaluateOptions {
   Index views = 3;     ///< sources; the scene's next view, if there is one, is the rendered target
   Index window = 512;  ///< side of the window in which heights in views are scored, px at most
   Registration registration = Registration::none;
-  bool mask_water = true;  ///< leave out cells of class 9
+  bool mask_water = true;            ///< leave out cells of class 9
+  const nn::Lpips* lpips = nullptr;  ///< scores rendered targets too, if given
   std::function<void(const std::string& stage, double fraction)> progress;  ///< may be empty
 };
 
-/// All numbers of one scene.
+/// A DSM after one registration.
+struct RegisteredScores {
+  HeightScores scores;
+  HeightScores
+      filled;  ///< with its holes filled on the truth's grid after registering, see `filled`
+  std::array<double, 3> shift{0, 0, 0};  ///< added to the prediction: east, north, up, m
+};
+
+/// All numbers of one scene. What needs a target view is NaN without one, its counts 0.
 struct SceneScores {
   std::string name;
-  DsmComparison dsm;           ///< the reconstructed DSM against the truth
-  HeightScores mvs_source;     ///< last-stage network heights of the source views
-  HeightScores render_target;  ///< heights rendered in the target view; `truth` is 0 without one
-  double target_psnr = 0;      ///< of the rendered target, dB; NaN without one
-  double seconds = 0;          ///< of the reconstruction, without reading files
+  DsmComparison dsm;  ///< the reconstructed DSM against the truth, registered as asked
+  std::array<RegisteredScores, 3> registered;  ///< the same by each Registration: none, z, xyz
+  HeightScores mvs_source;  ///< last-stage network heights of the source views, all pixels pooled
+  double mvs_source_rmse_per_view = 0;  ///< the same RMSE view by view, then averaged, m
+  HeightScores render_target;           ///< heights rendered in the target view
+  ImageScores target;  ///< colours rendered there, where they are opaque and the image is valid
+  double seconds = 0;  ///< of the reconstruction, without reading files
+};
+
+/// The confidence figure's numbers, over all scenes.
+struct ConfidenceScores {
+  ConfidenceErrors mvs_source;  ///< last-stage heights and confidences of the source views
+  ConfidenceErrors dsm;         ///< DSM cells, registered as asked, and rendered confidences
+};
+
+/// All numbers of a data set.
+struct DataScores {
+  std::vector<SceneScores> scenes;
+  ConfidenceScores confidence;
 };
 
 /// Reconstructs a scene from its first views and scores everything the field's tables hold. The
 /// height range is the scene's own, as in the protocols of the field; true cells count where two of
 /// these views see them.
-/// throws  IoError if the scene has too few views or no truth
+/// confidence  the scene's pixels are added to it, unless nullptr
+/// throws      IoError if the scene has too few views, no truth, or is too small for LPIPS
 SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
-                           const EvaluateOptions& options);
+                           const EvaluateOptions& options, ConfidenceScores* confidence = nullptr);
 
 /// Every scene of a data set, see `list_scenes`.
 /// throws  IoError as above
-std::vector<SceneScores> evaluate_data(const nn::Model& model, const std::filesystem::path& folder,
-                                       const EvaluateOptions& options);
+DataScores evaluate_data(const nn::Model& model, const std::filesystem::path& folder,
+                         const EvaluateOptions& options);
 
-/// {"scenes": [...], "mean": {...}}: the mean is taken over scenes, not over cells, and leaves out
-/// scenes for which a number does not exist.
+/// {"scenes": [...], "mean": {...}, "lpips_backbone"}: the mean is taken over scenes, not over
+/// cells, and leaves out scenes for which a number does not exist; its names are those of
+/// `scores_csv`.
 nlohmann::ordered_json scores_json(const std::vector<SceneScores>& scores);
-/// The same as one CSV row per scene and a last row `mean`.
+/// The same and "confidence": {"mvs_source", "dsm"}, see `confidence_json`.
+nlohmann::ordered_json scores_json(const DataScores& scores);
+/// One CSV row per scene with every number, and a last row `mean`. Cells of numbers that do not
+/// exist are empty. Columns: GROUP_mae, _rmse, _median, _nmad, _pag1, _pag2.5, _pag7.5,
+/// _completeness, _pag1_compared, _pag2.5_compared, _pag7.5_compared, _truth_cells and
+/// _compared_cells (see HeightScores) for the groups
+///   dsm, mvs_source, render_target       as in SceneScores
+///   dsm_none, dsm_z, dsm_xyz             the DSM by each registration; then also _east, _north, _up
+///   dsm_filled_none, .._z, .._xyz        the same with holes filled
+/// then mvs_source_rmse_per_view, render_target_psnr, _ssim, _ssim_conv, _lpips, and seconds.
 std::string scores_csv(const std::vector<SceneScores>& scores);
 
 }  // namespace satsurf::train

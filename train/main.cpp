@@ -314,7 +314,16 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
       ->group("A data set");
   c->add_flag("--keep-water", keep_water, "score cells of class 9 (water) as well")
       ->group("A data set");
-  c->add_option("--csv", s.csv, "one row per scene")->type_name("FILE")->group("A data set");
+  c->add_option("--csv", s.csv, "every number, one row per scene and the mean")
+      ->type_name("FILE")
+      ->group("A data set");
+  c->add_option("--confidence-csv", s.confidence_csv,
+                "errors by confidence, of source views and DSM, over all scenes")
+      ->type_name("FILE")
+      ->group("A data set");
+  c->add_option("--confidence-figure", s.confidence_figure, "the same as bar charts")
+      ->type_name("SVG")
+      ->group("A data set");
   CLI::Option* image = c->add_option("--image", p.image,
                                      "picture to score: PNG, JPEG or TIFF; 8-bit values are "
                                      "divided by 255, 16-bit ones by 65535, then all clipped to "
@@ -331,10 +340,9 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
       ->type_name("FILE")
       ->group("One picture");
   c->add_option("--lpips-weights", p.lpips_weights,
-                "LPIPS v0.1 (alex, squeeze or vgg) as safetensors of its state_dict; no LPIPS "
-                "without")
-      ->type_name("FILE")
-      ->group("One picture");
+                "LPIPS v0.1 (alex, squeeze or vgg) as safetensors of its state_dict; no LPIPS of "
+                "a picture or a data set's rendered views without")
+      ->type_name("FILE");
   c->add_option("--register", d.registration, "what is taken out first: none, z or xyz")
       ->type_name("HOW")
       ->capture_default_str();
@@ -350,7 +358,7 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
     if (data->count() == 0 && (dsm->count() == 0 || truth->count() == 0))
       throw CLI::RequiredError("--dsm and --truth, --data, or --image and --reference");
     s.registration = d.registration, s.json = d.json, s.mask_water = !keep_water,
-    s.overwrite = d.overwrite;
+    s.overwrite = d.overwrite, s.lpips_weights = p.lpips_weights;
     run = [] { s.data.empty() ? run_evaluate_dsm(d) : run_evaluate_data(s); };
   });
 }

@@ -235,6 +235,7 @@ DsmComparison compare_dsm(const HeightField& prediction, const HeightField& trut
     for (float& v : z.values()) v += static_cast<float>(out.shift[2]);
   }
   out.registered = score_heights(z, wanted);
+  out.surface = z;
   out.error = z.clone();
   for (Index i = 0; i < z.count(); ++i) out.error[i] -= wanted[i];
   return out;

@@ -49,6 +49,7 @@ struct DsmComparison {
   HeightScores raw;
   HeightScores registered;
   std::array<double, 3> shift{0, 0, 0};  ///< added to the prediction: east, north, up, m
+  Tensor surface;                        ///< [H W] registered prediction, NaN where unknown
   Tensor error;  ///< [H W] registered prediction - truth, NaN where not compared
 };
 

@@ -183,4 +183,12 @@ void check_output_file(const std::string& flag, const fs::path& file, bool overw
                   "), wanted a place that can be");
 }
 
+void check_distinct(const std::vector<fs::path>& files) {
+  const auto place = [](const fs::path& file) { return fs::weakly_canonical(fs::absolute(file)); };
+  for (std::size_t a = 0; a < files.size(); ++a)
+    for (std::size_t b = a + 1; b < files.size(); ++b)
+      if (!files[a].empty() && !files[b].empty() && place(files[a]) == place(files[b]))
+        throw IoError(files[a].string() + ": named for two results, wanted two names");
+}
+
 }  // namespace satsurf::train

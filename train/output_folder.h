@@ -56,5 +56,8 @@ class OutputFolder {
 /// cannot be written where it is
 void check_output_file(const std::string& flag, const std::filesystem::path& file, bool overwrite,
                        const std::vector<std::filesystem::path>& inputs);
+/// Looks at the files that results go into; empty names are passed over.
+/// throws  IoError if two of them are one
+void check_distinct(const std::vector<std::filesystem::path>& files);
 
 }  // namespace satsurf::train

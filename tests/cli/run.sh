@@ -147,9 +147,27 @@ for read in $truth out/dsm.tif "${images[@]}"; do
 done
 succeeds "evaluate the truth" "$satsurf" evaluate --dsm $truth --truth $truth
 holds "the truth is right" grep -qE "raw +MAE +0.000 m" stdout
-succeeds "evaluate a data set" "$satsurf" evaluate --data data --weights $weights --json all.json --csv all.csv --quiet
-succeeds "evaluate a data set, table only" "$satsurf" evaluate --data data --weights $weights --csv only.csv --quiet
-holds "the same table" cmp <(cut -d, -f1-16 all.csv) <(cut -d, -f1-16 only.csv)
+succeeds "evaluate a data set" "$satsurf" evaluate --data data --weights $weights --json all.json --csv all.csv \
+  --confidence-csv confidence.csv --confidence-figure confidence.svg --register z --quiet
+holds "it prints means" grep -qE "^DSM, filled +[0-9.]+ +[0-9.]+ +[0-9.]+%.* 100.0%$" stdout
+holds "it says why there is no LPIPS" grep -qE "^no LPIPS: no --lpips-weights given$" stdout
+holds "it says how the error goes with confidence" grep -qE "^Source views +MAE [0-9.]+ m at confidence [0-9.]+, .*fall" stdout
+succeeds "evaluate a data set, tables only, one thread" "$satsurf" evaluate --data data --weights $weights --csv only.csv \
+  --confidence-csv only.confidence.csv --register z --threads 1 --quiet
+untimed() { sed 's/,[^,]*$//' "$1"; } # the last column is seconds
+holds "seconds come last" grep -qE "^scene,.*,seconds$" all.csv
+holds "the same table" cmp <(untimed all.csv) <(untimed only.csv)
+holds "the same confidences" cmp confidence.csv only.confidence.csv
+holds "each row as many cells" test "$(awk -F, '{ print NF }' all.csv | sort -u | wc -l)" -eq 1
+for column in dsm_mae dsm_none_rmse dsm_z_pag2.5 dsm_xyz_completeness dsm_xyz_east dsm_filled_xyz_mae mvs_source_rmse \
+  mvs_source_rmse_per_view render_target_pag7.5 render_target_psnr render_target_ssim_conv render_target_lpips; do
+  holds "the table has $column" grep -qE "^scene,(.*,)?$column," all.csv
+done
+for key in dsm_by_registration holes_filled render_target_ssim equal_width equal_count monotone; do
+  holds "the record has $key" grep -qF "\"$key\": " all.json
+done
+holds "ten bins of equal width each" test "$(grep -c ',equal_width,' confidence.csv)" -eq 20
+holds "the figure is one" grep -qE "^<svg .*</svg>$" <(tr -d '\n' <confidence.svg)
 for read in $weights $truth data/Track3-RGB/SIM_002_004_RGB.tif; do
   holds "it records that it read $read" grep -qF "\"path\": \"$read\"" all.json
 done
@@ -180,6 +198,11 @@ if [ -d "$shared/lpips" ]; then
     holds "and recorded" grep -qE "^  \"lpips_backbone\": \"$backbone\",$" lpips.json
     holds "with the published value" grep -qE '^  "lpips": 0\.7(110|111|218|219)[0-9]*,$' lpips.json
   done
+  succeeds "LPIPS of rendered views" "$satsurf" evaluate --data data --weights $weights --json lpips.json --overwrite \
+    --lpips-weights "$shared/lpips/lpips_squeeze.safetensors" --quiet
+  holds "by which network" grep -qE "^LPIPS by squeeze$" stdout
+  holds "recorded too" grep -qF '"lpips_backbone": "squeeze"' lpips.json
+  holds "with the numbers" grep -qE '"render_target_lpips": 0\.[0-9]+' lpips.json
 else
   echo "SKIPPED: no LPIPS weights at $shared/lpips (set SATSURF_DATA)"
 fi
@@ -289,6 +312,15 @@ scores() { "$satsurf" evaluate "$@" --quiet; }
 refuses "existing scores" 1 "^satsurf: --json: scores.json exists; use --overwrite" scores "${scored[@]}" --json scores.json
 refuses "existing error map" 1 "--error-map: error.png exists; use --overwrite" scores "${scored[@]}" --error-map error.png
 refuses "existing table" 1 "--csv: all.csv exists; use --overwrite" scores --data data --weights $weights --csv all.csv
+refuses "existing confidences" 1 "--confidence-csv: confidence.csv exists; use --overwrite" \
+  scores --data data --weights $weights --confidence-csv confidence.csv
+refuses "existing figure" 1 "--confidence-figure: confidence.svg exists; use --overwrite" \
+  scores --data data --weights $weights --confidence-figure confidence.svg
+refuses "two tables in one file" 1 "out/../both: named for two" \
+  scores --data data --weights $weights --csv out/../both --confidence-figure both
+refuses "a network's weights for LPIPS of a data set" 1 "$weights: no net.slice1.0.weight" \
+  scores --data data --weights $weights --lpips-weights $weights
+refuses "unknown registration of a data set" 2 "xy.*none, z or xyz" scores --data data --weights $weights --register xy
 refuses "scores into the truth" 1 "--json: $truth is an input" scores "${scored[@]}" --json $truth --overwrite
 refuses "scores into the weights" 1 "--csv: $weights is an input" scores --data data --weights $weights --csv $weights --overwrite
 refuses "scores into a folder" 1 "--json: out is a folder" scores "${scored[@]}" --json out --overwrite

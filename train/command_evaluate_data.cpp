@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/atomic_file.h"
+#include "satsurf/train/commands.h"
+#include "satsurf/train/evaluate.h"
+#include "satsurf/train/output_folder.h"
+#include "satsurf/train/progress.h"
+#include "satsurf/train/record.h"
+
+#include <cmath>
+#include <cstdio>
+#include <optional>
+#include <utility>
+
+#include <nlohmann/json.hpp>
+
+namespace satsurf::train {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// A number that fills `width` characters, or a dash for one that does not exist.
+std::string cell(int width, int decimals, double v, const char* unit = "") {
+  char text[48];
+  if (std::isfinite(v))
+    std::snprintf(text, sizeof text, " %*.*f%s", width, decimals, v, unit);
+  else
+    std::snprintf(text, sizeof text, " %*s%s", width, "-", unit[0] != '\0' ? " " : "");
+  return text;
+}
+
+std::string heights_cells(double mae, double rmse, double pag1, double pag2_5, double pag7_5,
+                          double completeness) {
+  std::string text = cell(9, 3, mae) + cell(9, 3, rmse);
+  for (const double share : {pag1, pag2_5, pag7_5, completeness})
+    text += cell(8, 1, 100 * share, "%");
+  return text;
+}
+
+constexpr const char* kHeightsHead = "     MAE m    RMSE m      <1 m    <2.5 m    <7.5 m  complete";
+
+void print_scenes(const std::vector<SceneScores>& scores) {
+  std::printf("%-16s%s  source m   PSNR dB      SSIM     LPIPS\n", "scene", kHeightsHead);
+  for (const SceneScores& s : scores) {
+    const HeightScores& d = s.dsm.registered;
+    std::printf("%-16s%s%s%s%s%s\n", s.name.c_str(),
+                heights_cells(d.mae, d.rmse, d.pag1, d.pag2_5, d.pag7_5, d.completeness).c_str(),
+                cell(9, 3, s.mvs_source.mae).c_str(), cell(9, 2, s.target.psnr).c_str(),
+                cell(9, 4, s.target.ssim).c_str(),
+                cell(9, 4, s.target.lpips.value_or(std::nan(""))).c_str());
+  }
+}
+
+/// mean  numbers by name, null for those that do not exist
+void print_mean(const nlohmann::ordered_json& mean, const std::string& registration) {
+  const auto of = [&](const std::string& key) {
+    return mean[key].is_null() ? std::nan("") : mean[key].get<double>();
+  };
+  const auto row = [&](const std::string& group) {
+    return heights_cells(of(group + "_mae"), of(group + "_rmse"), of(group + "_pag1"),
+                         of(group + "_pag2.5"), of(group + "_pag7.5"), of(group + "_completeness"));
+  };
+  std::printf(
+      "%-16s%s%s%s%s%s\n", "mean", row("dsm").c_str(), cell(9, 3, of("mvs_source_mae")).c_str(),
+      cell(9, 2, of("render_target_psnr")).c_str(), cell(9, 4, of("render_target_ssim")).c_str(),
+      cell(9, 4, of("render_target_lpips")).c_str());
+  std::printf("\n%-16s%s\n", "mean", kHeightsHead);
+  for (const auto& [title, group] :
+       {std::pair<const char*, std::string>{"DSM", "dsm_" + registration},
+        {"DSM, filled", "dsm_filled_" + registration},
+        {"source views", "mvs_source"},
+        {"target view", "render_target"}})
+    std::printf("%-16s%s\n", title, row(group).c_str());
+}
+
+/// How the error depends on the confidence, in a line.
+void print_confidence(const char* title, const ConfidenceErrors& errors) {
+  const std::vector<ConfidenceBin> bins = errors.equal_count();
+  if (bins.empty()) return;
+  std::printf("%-16s MAE %.3f m at confidence %.2f, %.3f m at %.2f; it %s with confidence\n", title,
+              bins.front().mae, bins.front().confidence, bins.back().mae, bins.back().confidence,
+              errors.monotone() ? "always falls" : "does not always fall");
+}
+
+}  // namespace
+
+void run_evaluate_data(const EvaluateDataOptions& options) {
+  const fs::path weights = find_weights(options.weights);
+  std::vector<fs::path> inputs{weights, options.data};
+  if (!options.lpips_weights.empty()) inputs.push_back(options.lpips_weights);
+  check_output_file("--json", options.json, options.overwrite, inputs);
+  check_output_file("--csv", options.csv, options.overwrite, inputs);
+  check_output_file("--confidence-csv", options.confidence_csv, options.overwrite, inputs);
+  check_output_file("--confidence-figure", options.confidence_figure, options.overwrite, inputs);
+  check_distinct({options.csv, options.json, options.confidence_csv, options.confidence_figure});
+  const nn::Model model = load_model(weights);
+  std::optional<nn::Lpips> lpips;
+  if (!options.lpips_weights.empty()) lpips.emplace(nn::Lpips::load(options.lpips_weights));
+  Progress progress;
+  EvaluateOptions how;
+  how.views = options.views;
+  how.registration = registration_from(options.registration);
+  how.mask_water = options.mask_water;
+  how.lpips = lpips ? &*lpips : nullptr;
+  how.progress = [&](const std::string& stage, double fraction) {
+    if (interrupted()) throw Interrupted{};
+    progress.update(stage, fraction);
+  };
+  nlohmann::json config{{"data", options.data},
+                        {"weights", weights},
+                        {"lpips_weights", options.lpips_weights},
+                        {"views", options.views},
+                        {"register", options.registration},
+                        {"mask_water", options.mask_water}};
+  RunRecord record("evaluate", config, 0);
+  const DataScores scores = evaluate_data(model, options.data, how);
+  const nlohmann::ordered_json table = scores_json(scores);
+  if (!options.json.empty()) {
+    for (const fs::path& input : inputs) record.add_input(input);
+    record.results() = table;
+    record.save(options.json);
+  }
+  if (!options.csv.empty()) atomic_write(options.csv, scores_csv(scores.scenes));
+  const std::vector<NamedConfidence> confidence{
+      {"mvs_source", "Source views", &scores.confidence.mvs_source},
+      {"dsm", "DSM", &scores.confidence.dsm}};
+  if (!options.confidence_csv.empty())
+    atomic_write(options.confidence_csv, confidence_csv(confidence));
+  if (!options.confidence_figure.empty())
+    atomic_write(options.confidence_figure, confidence_svg(confidence));
+
+  print_scenes(scores.scenes);
+  print_mean(table["mean"], options.registration);
+  if (lpips)
+    std::printf("LPIPS by %s\n", nn::lpips_backbone_name(lpips->backbone()));
+  else
+    std::printf("no LPIPS: no --lpips-weights given\n");
+  for (const NamedConfidence& c : confidence) print_confidence(c.title.c_str(), *c.errors);
+}
+
+}  // namespace satsurf::train

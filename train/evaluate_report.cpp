@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/train/evaluate.h"
+
+#include <cmath>
+#include <cstdio>
+#include <utility>
+
+namespace satsurf::train {
+namespace {
+
+constexpr std::array<const char*, 3> kRegistrations{"none", "z", "xyz"};
+
+using Row = std::vector<std::pair<std::string, double>>;
+
+void add_heights(Row& row, const std::string& group, const HeightScores& s) {
+  for (const auto& [name, value] : {std::pair<const char*, double>{"_mae", s.mae},
+                                    {"_rmse", s.rmse},
+                                    {"_median", s.median},
+                                    {"_nmad", s.nmad},
+                                    {"_pag1", s.pag1},
+                                    {"_pag2.5", s.pag2_5},
+                                    {"_pag7.5", s.pag7_5},
+                                    {"_completeness", s.completeness},
+                                    {"_pag1_compared", s.pag1_compared},
+                                    {"_pag2.5_compared", s.pag2_5_compared},
+                                    {"_pag7.5_compared", s.pag7_5_compared},
+                                    {"_truth_cells", static_cast<double>(s.truth)},
+                                    {"_compared_cells", static_cast<double>(s.compared)}})
+    row.push_back({group + name, value});
+}
+
+/// Names and values of the numbers that go into tables.
+Row row_of(const SceneScores& s) {
+  Row row;
+  add_heights(row, "dsm", s.dsm.registered);
+  add_heights(row, "mvs_source", s.mvs_source);
+  add_heights(row, "render_target", s.render_target);
+  for (std::size_t k = 0; k < kRegistrations.size(); ++k) {
+    const std::string group = std::string("dsm_") + kRegistrations[k];
+    add_heights(row, group, s.registered[k].scores);
+    row.push_back({group + "_east", s.registered[k].shift[0]});
+    row.push_back({group + "_north", s.registered[k].shift[1]});
+    row.push_back({group + "_up", s.registered[k].shift[2]});
+  }
+  for (std::size_t k = 0; k < kRegistrations.size(); ++k)
+    add_heights(row, std::string("dsm_filled_") + kRegistrations[k], s.registered[k].filled);
+  row.push_back({"mvs_source_rmse_per_view", s.mvs_source_rmse_per_view});
+  row.push_back({"render_target_psnr", s.target.psnr});
+  row.push_back({"render_target_ssim", s.target.ssim});
+  row.push_back({"render_target_ssim_conv", s.target.ssim_conv});
+  row.push_back({"render_target_lpips", s.target.lpips.value_or(std::nan(""))});
+  row.push_back({"seconds", s.seconds});
+  return row;
+}
+
+/// Each number on average over the scenes for which it exists, else NaN.
+Row mean_of(const std::vector<SceneScores>& scores) {
+  Row sums;
+  std::vector<double> counts;
+  for (const SceneScores& s : scores) {
+    const Row row = row_of(s);
+    if (sums.empty()) {
+      for (const auto& [name, value] : row) sums.push_back({name, 0});
+      counts.resize(row.size());
+    }
+    for (std::size_t k = 0; k < row.size(); ++k)
+      if (std::isfinite(row[k].second)) sums[k].second += row[k].second, counts[k] += 1;
+  }
+  for (std::size_t k = 0; k < sums.size(); ++k)
+    sums[k].second = counts[k] > 0 ? sums[k].second / counts[k] : std::nan("");
+  return sums;
+}
+
+/// JSON has no NaN; null says that a number does not exist.
+nlohmann::ordered_json number(double v) {
+  return std::isfinite(v) ? nlohmann::ordered_json(v) : nlohmann::ordered_json(nullptr);
+}
+
+nlohmann::ordered_json by_registration(const SceneScores& s) {
+  nlohmann::ordered_json out;
+  for (std::size_t k = 0; k < kRegistrations.size(); ++k)
+    out[kRegistrations[k]] = {{"shift_m", s.registered[k].shift},
+                              {"scores", scores_json(s.registered[k].scores)},
+                              {"holes_filled", scores_json(s.registered[k].filled)}};
+  return out;
+}
+
+}  // namespace
+
+nlohmann::ordered_json scores_json(const HeightScores& s) {
+  return {{"truth_cells", s.truth},
+          {"compared_cells", s.compared},
+          {"completeness", number(s.completeness)},
+          {"mae", number(s.mae)},
+          {"rmse", number(s.rmse)},
+          {"median", number(s.median)},
+          {"nmad", number(s.nmad)},
+          {"pag1", number(s.pag1)},
+          {"pag2.5", number(s.pag2_5)},
+          {"pag7.5", number(s.pag7_5)},
+          {"pag1_compared", number(s.pag1_compared)},
+          {"pag2.5_compared", number(s.pag2_5_compared)},
+          {"pag7.5_compared", number(s.pag7_5_compared)}};
+}
+
+nlohmann::ordered_json scores_json(const DsmComparison& c) {
+  return {
+      {"raw", scores_json(c.raw)}, {"registered", scores_json(c.registered)}, {"shift_m", c.shift}};
+}
+
+nlohmann::ordered_json scores_json(const std::vector<SceneScores>& scores) {
+  nlohmann::ordered_json out{{"scenes", nlohmann::ordered_json::array()},
+                             {"mean", nlohmann::ordered_json::object()},
+                             {"lpips_backbone", nullptr}};
+  for (const SceneScores& s : scores) {
+    out["scenes"].push_back({{"name", s.name},
+                             {"dsm", scores_json(s.dsm)},
+                             {"dsm_by_registration", by_registration(s)},
+                             {"mvs_source", scores_json(s.mvs_source)},
+                             {"mvs_source_rmse_per_view", number(s.mvs_source_rmse_per_view)},
+                             {"render_target", scores_json(s.render_target)},
+                             {"render_target_psnr", number(s.target.psnr)},
+                             {"render_target_ssim", number(s.target.ssim)},
+                             {"render_target_ssim_conv", number(s.target.ssim_conv)},
+                             {"render_target_lpips", number(s.target.lpips.value_or(std::nan("")))},
+                             {"seconds", s.seconds}});
+    if (!s.target.lpips_backbone.empty()) out["lpips_backbone"] = s.target.lpips_backbone;
+  }
+  for (const auto& [name, value] : mean_of(scores)) out["mean"][name] = number(value);
+  return out;
+}
+
+nlohmann::ordered_json scores_json(const DataScores& scores) {
+  nlohmann::ordered_json out = scores_json(scores.scenes);
+  out["confidence"] = {{"mvs_source", confidence_json(scores.confidence.mvs_source)},
+                       {"dsm", confidence_json(scores.confidence.dsm)}};
+  return out;
+}
+
+std::string scores_csv(const std::vector<SceneScores>& scores) {
+  if (scores.empty()) return {};
+  std::string text = "scene";
+  for (const auto& [name, value] : row_of(scores[0])) text += "," + name;
+  text += "\n";
+  const auto add = [&text](const std::string& name, const Row& row) {
+    text += name;
+    for (const auto& [column, value] : row) {
+      char cell[32];
+      std::snprintf(cell, sizeof cell, ",%.8g", value);
+      text += std::isfinite(value) ? cell : ",";
+    }
+    text += "\n";
+  };
+  for (const SceneScores& s : scores) add(s.name, row_of(s));
+  add("mean", mean_of(scores));
+  return text;
+}
+
+}  // namespace satsurf::train
