@@ -6,7 +6,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <memory>
 #include <string>
 #include <vector>
 
@@ -15,12 +14,17 @@ namespace {
 
 constexpr Index kGrain = 1 << 14;
 
-/// Number and sums over valid pixels, of differences from one of them: cancellation stays harmless,
-/// and where all are equal the deviation is 0 to the last bit.
+/// d|e|, 0 at 0.
+template <class T>
+T sign(T e) {
+  return static_cast<T>((e > T(0)) - (e < T(0)));
+}
+
+/// A number and sums over valid pixels.
 struct Sums {
-  double n = 0, x = 0, y = 0, xx = 0, yy = 0;
+  double n = 0, x = 0, y = 0;
   Sums& operator+=(const Sums& o) {
-    n += o.n, x += o.x, y += o.y, xx += o.xx, yy += o.yy;
+    n += o.n, x += o.x, y += o.y;
     return *this;
   }
 };
@@ -38,14 +42,11 @@ struct Mean {
 
 /// What backward needs to know of one map.
 struct MapScale {
-  double n = 0;              ///< valid pixels; 0 if the map does not count
-  double mean = 0, dev = 0;  ///< of x
-  double inverse = 0;        ///< 1 / (s_x + eps)
+  double n = 0;        ///< valid pixels; 0 if the map does not count
+  double mean = 0;     ///< of x
+  double inverse = 0;  ///< 1 / (s_x + eps)
+  double excess = 0;   ///< mean of sign(x - m_x)
 };
-
-double deviation(double n, double sum, double squares) {
-  return std::sqrt(std::max(squares / n - sum * sum / (n * n), 0.0));
-}
 
 /// Rows of a map whose pixels are about one grain.
 Index grain_rows(Index W) { return std::max<Index>(1, kGrain / W); }
@@ -78,33 +79,33 @@ MapScale normalise(const Maps<T>& maps, Index n, const T* x, const T* y,
   Index at = first;
   while (at < last && !maps.counts(at)) ++at;
   if (at == last) return {};
+  // Sums of differences from one of the pixels: cancellation stays harmless, and where all are equal
+  // the deviation is 0 to the last bit.
   const auto px = static_cast<double>(x[at]), py = static_cast<double>(y[at]);
   const Sums s = maps.template sum<Sums>(n, [=](Index i) {
-    const double dx = static_cast<double>(x[i]) - px, dy = static_cast<double>(y[i]) - py;
-    return Sums{1, dx, dy, dx * dx, dy * dy};
+    return Sums{1, static_cast<double>(x[i]) - px, static_cast<double>(y[i]) - py};
   });
-  const double spread = deviation(s.n, s.y, s.yy);
+  const double mean_x = px + s.x / s.n, mean_y = py + s.y / s.n;
+  const Sums d = maps.template sum<Sums>(n, [=](Index i) {
+    const double dx = static_cast<double>(x[i]) - mean_x, dy = static_cast<double>(y[i]) - mean_y;
+    return Sums{sign(dx), std::abs(dx), std::abs(dy)};
+  });
+  const double spread = d.y / s.n;
   if (spread <= options.flat) return {};
-  MapScale m{s.n, px + s.x / s.n, deviation(s.n, s.x, s.xx)};
-  m.inverse = 1 / (m.dev + options.eps);
-  const double mean_y = py + s.y / s.n, inverse_y = 1 / spread;
+  const MapScale m{s.n, mean_x, 1 / (d.x / s.n + options.eps), d.n / s.n};
+  const double inverse_y = 1 / spread;
   for_range(maps.H, grain_rows(maps.W), [&](Index begin, Index end) {
     for (Index i = first + begin * maps.W; i < first + end * maps.W; ++i)
       if (maps.counts(i))
-        residual[i] = static_cast<T>((static_cast<double>(x[i]) - m.mean) * m.inverse -
+        residual[i] = static_cast<T>((static_cast<double>(x[i]) - mean_x) * m.inverse -
                                      (static_cast<double>(y[i]) - mean_y) * inverse_y);
   });
   return m;
 }
 
-/// d|e|, 0 at 0.
-template <class T>
-T sign(T e) {
-  return static_cast<T>((e > T(0)) - (e < T(0)));
-}
-
 /// R with the gradient through mean and deviation:
-///   dx_i = (g_i - mean(g)) / (s + eps) - (x_i - m) sum_j g_j (x_j - m) / (n s (s + eps)^2)
+///   dx_i = (g_i - mean(g)) / (s + eps)
+///        - (sign(x_i - m) - mean(sign)) sum_j g_j (x_j - m) / (n (s + eps)^2)
 template <class T>
 BasicVar<T> residual(const BasicVar<T>& x, const Maps<T>& maps, BasicTensor<T> value,
                      const std::vector<MapScale>& scales) {
@@ -126,13 +127,13 @@ BasicVar<T> residual(const BasicVar<T>& x, const Maps<T>& maps, BasicTensor<T> v
         const auto up = static_cast<double>(g[i]);
         return Dots{up, up * (static_cast<double>(at[i]) - m.mean)};
       });
-      const double mean_g = dots.g / m.n;  // where the deviation is 0, so is every x - mean
-      const double by_x = m.dev > 0 ? dots.gx * m.inverse * m.inverse / (m.n * m.dev) : 0;
+      const double mean_g = dots.g / m.n, by_spread = dots.gx * m.inverse * m.inverse / m.n;
       for_range(maps.H, grain_rows(maps.W), [&](Index begin, Index end) {
         for (Index i = (n * maps.H + begin) * maps.W; i < (n * maps.H + end) * maps.W; ++i)
           if (maps.counts(i))
-            d[i] += static_cast<T>((static_cast<double>(g[i]) - mean_g) * m.inverse -
-                                   by_x * (static_cast<double>(at[i]) - m.mean));
+            d[i] +=
+                static_cast<T>((static_cast<double>(g[i]) - mean_g) * m.inverse -
+                               by_spread * (sign(static_cast<double>(at[i]) - m.mean) - m.excess));
       });
     }
   };

@@ -16,7 +16,8 @@ struct MonoTrainConfig : TrainingSettings {
   nn::MonoConfig mono;
   Index batch = 2;               ///< windows per step
   double gradient_weight = 0.5;  ///< of the gradient loss; that of the distance is 1
-  /// Deviation of a window's true heights below which it teaches nothing, m: it is drawn anew.
+  /// Mean absolute deviation of a window's true heights below which it teaches nothing, m: it is
+  /// drawn anew.
   double least_relief = 0.5;
 
   MonoTrainConfig() {

@@ -33,9 +33,8 @@ inline SsiRef ssi_ref(const BasicTensor<double>& x, const BasicTensor<double>& y
     const auto deviation = [&](const BasicTensor<double>& t) {
       double sum = 0;
       const double m = mean(t);
-      for (const Index i : pixels)
-        sum += (t[i] - m) * (t[i] - m) / static_cast<double>(pixels.size());
-      return std::sqrt(sum);
+      for (const Index i : pixels) sum += std::abs(t[i] - m) / static_cast<double>(pixels.size());
+      return sum;
     };
     if (pixels.size() < 2 || deviation(y) <= std::max(options.flat, 1e-9)) continue;  // rounding
     ++out.maps;
