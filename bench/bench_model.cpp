@@ -138,9 +138,8 @@ void stage_infer(benchmark::State& state) {
               confidence = max_probability(p);
     const Var raw =
         head(concat<float>({image, features, p, reshape(confidence, Shape{N, 1, side, side})}, 1));
-    benchmark::DoNotOptimize(
-        nn::surfels_from_maps(raw, height, image.value(), confidence, geometry,
-                              nn::Rotation::residual));
+    benchmark::DoNotOptimize(nn::surfels_from_maps(raw, height, image.value(), confidence, geometry,
+                                                   nn::Rotation::residual));
   };
   time_and_weigh(
       state, {.flop = 2 * number(N) * stage_multiply_adds(config, stage, number(state.range(2)))},

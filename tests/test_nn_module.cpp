@@ -136,8 +136,7 @@ TEST_CASE("surfels of pixels: gradients and meaning") {
         {raw, height, conf}));
   }
   const auto s = nn::surfels_from_maps(BasicVar<double>(raw), BasicVar<double>(height), image,
-                                       BasicVar<double>(conf), geometry,
-                                       nn::Rotation::residual);
+                                       BasicVar<double>(conf), geometry, nn::Rotation::residual);
   for (Index i = 0; i < 8; ++i) {  // a surfel's centre projects onto its own pixel
     const double* m = s.means.value().data() + 3 * i;
     const auto p = rescale_pixels(scene.sources[static_cast<std::size_t>(i / 4)].pixel_from_local,
