@@ -8,9 +8,10 @@ preset=$1
 shift
 
 # openimageio-tools: libopenimageio-dev's CMake file insists on the programs too.
+# libboost-dev: OpenVDB's headers want it, its package does not ask for it; GDAL's brings it anyway.
 packages=(g++ cmake ninja-build pkg-config libeigen3-dev libtbb-dev libxsimd-dev nlohmann-json3-dev libgdal-dev
-  libopenimageio-dev openimageio-tools libcli11-dev libspdlog-dev libbenchmark-dev
-  doctest-dev)
+  libopenimageio-dev openimageio-tools libopenvdb-dev libboost-dev libnanoflann-dev libcli11-dev
+  libspdlog-dev libbenchmark-dev doctest-dev)
 missing=()
 for package in "${packages[@]}"; do
   dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-# Reads every #include line and refuses arrows against the order core -> ops -> {rpc, splat} -> nn -> train.
+# Reads every #include line and refuses arrows against the order core -> ops -> {rpc, splat} -> {nn, mesh} -> train.
 #   cmake -DSOURCE=... -P layers.cmake
 set(may_core core)
 set(may_ops ${may_core} ops)
 set(may_rpc ${may_ops} rpc)
 set(may_splat ${may_ops} splat)
 set(may_nn ${may_ops} rpc splat nn)
-set(may_train ${may_nn} train)
+set(may_mesh ${may_ops} rpc splat mesh)
+set(may_train ${may_nn} mesh train)
 set(may_bench ${may_nn} bench)
 # Headers that engine users do not get: the same as in install() of CMakeLists.txt.
 set(internal "_kernels\\.h$|^core/(simd|fields_json)\\.h$|^ops/conv_(engine|slab|winograd)\\.h$|^splat/bin\\.h$|^rpc/(gdal|raster|read)\\.h$")
@@ -20,7 +21,7 @@ macro(refuse text)
   string(APPEND wrong "  ${file}: includes ${include}, ${text}\n")
 endmacro()
 
-foreach(layer core ops rpc splat nn train bench)
+foreach(layer core ops rpc splat nn mesh train bench)
   file(GLOB_RECURSE files RELATIVE ${SOURCE} ${SOURCE}/${layer}/*.h ${SOURCE}/${layer}/*.cpp)
   foreach(file ${files})
     set(public OFF)
@@ -52,6 +53,8 @@ foreach(layer core ops rpc splat nn train bench)
         if(NOT layer STREQUAL train)
           refuse("which belongs in train/")
         endif()
+      elseif(include MATCHES "^(openvdb/|nanoflann)" AND NOT file MATCHES "^mesh/(surface|compare)\\.cpp$")
+        refuse("which belongs in mesh/surface.cpp or mesh/compare.cpp")
       elseif(include MATCHES "^xsimd/" AND NOT file STREQUAL core/simd.h)
         refuse("expected satsurf/core/simd.h")
       elseif(public AND include MATCHES "^(nlohmann|Eigen|tbb|oneapi)/")

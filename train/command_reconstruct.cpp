@@ -2,6 +2,8 @@
 #include "satsurf/core/memory.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/var.h"
+#include "satsurf/mesh/ply.h"
+#include "satsurf/mesh/surface.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/splat/ply.h"
@@ -30,15 +32,23 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+constexpr double kMargin = 1;      // m; a flat surface still needs a span to fit a camera over
 constexpr double kWorstFit = 0.1;  // px, of a camera by its quadratics; more shows in the heights
 
 /// Camera of a whole image in the frame of the surfels, over the heights they have.
 Quadratic camera_of(const rpc::Rpc& rpc, const rpc::LocalFrame& frame, Index width, Index height,
                     double z_low, double z_high) {
   const rpc::Window window{0, 0, static_cast<double>(width), static_cast<double>(height)};
-  constexpr double kMargin = 1;  // m; a flat surface still needs a span to fit over
   return rpc::fit_projection(rpc, frame, window,
                              {frame.h0 + z_low - kMargin, frame.h0 + z_high + kMargin});
+}
+
+/// The inverse of `camera_of` at a height.
+Quadratic localisation_of(const rpc::Rpc& rpc, const rpc::LocalFrame& frame, Index width,
+                          Index height, const Scene& scene) {
+  const rpc::Window window{0, 0, static_cast<double>(width), static_cast<double>(height)};
+  return rpc::fit_localisation(
+      rpc, frame, window, {frame.h0 + scene.z_low - kMargin, frame.h0 + scene.z_high + kMargin});
 }
 
 /// Smallest and largest element of one column of [P 3].
@@ -85,6 +95,7 @@ void print_plan(const ReconstructPlan& plan, const UserScene& user) {
               plan.ground.y0 + frame.northing0, plan.ground.y1 + frame.northing0,
               plan.ground.width(), plan.ground.height());
   std::printf("surface       %td x %td cells of %g m\n", plan.width, plan.height, plan.step);
+  if (plan.voxel > 0) std::printf("mesh          voxels of %g m\n", plan.voxel);
   std::printf("tiles         %zu, each with %zu windows of %td x %td px\n", plan.tiles.size(),
               user.scene.views.size(), plan.window, plan.window);
   std::printf("memory        about %s; %s are free\n", memory_text(plan.memory_bytes).c_str(),
@@ -105,22 +116,49 @@ nlohmann::ordered_json memory_by_part(const Reconstruction& made) {
   return list;
 }
 
+/// The surface as the cameras of the images see it.
+struct RenderedViews {
+  std::vector<Tensor> colours;            ///< [3 H W]
+  std::vector<mesh::HeightView> heights;  ///< with the colours of the images; empty unless wanted
+};
+
+RenderedViews render_views(const Reconstruction& made, const Scene& scene, bool heights,
+                           Progress& progress) {
+  RenderedViews out;
+  for (std::size_t i = 0; i < scene.views.size(); ++i) {
+    progress.update("render", static_cast<double>(i) / static_cast<double>(scene.views.size()));
+    if (interrupted()) throw Interrupted{};
+    const SceneView& view = scene.views[i];
+    const Index H = view.rgb.dim(1), W = view.rgb.dim(2);
+    const Quadratic camera = camera_of(view.rpc, scene.frame, W, H, scene.z_low, scene.z_high);
+    const auto render = nn::render_view(made.surfels, camera, H, W, 1);
+    out.colours.push_back(render.colour.value());
+    if (!heights) continue;
+    // confidence by what stops the light there: thin surfaces are doubtful ones
+    mesh::HeightView seen{surface_heights(render), render.aux.value().reshaped({H, W}),
+                          view.rgb.clone(), camera,
+                          localisation_of(view.rpc, scene.frame, W, H, scene)};
+    for (Index p = 0; p < H * W; ++p)
+      for (Index c = 0; c < 3; ++c)
+        if (!(view.valid[p] > 0)) seen.rgb[c * H * W + p] = kNan;
+    out.heights.push_back(std::move(seen));
+  }
+  progress.update("render", 1);
+  return out;
+}
+
 void write_pictures(const OutputFolder& folder, const Reconstruction& made, const Scene& scene,
-                    Progress& progress) {
+                    const RenderedViews& rendered, Progress& progress) {
   fs::create_directories(folder / "views");
   std::vector<std::pair<std::string, std::function<Tensor()>>> pictures{
       {"height.png", [&] { return height_picture(made.dsm.z); }},
       {"hillshade.png", [&] { return hillshade_picture(made.dsm.z, made.dsm.step); }},
       {"confidence.png", [&] { return confidence_picture(made.confidence); }}};
+  progress.update("pictures", 0);
   for (std::size_t i = 0; i < scene.views.size(); ++i) {
-    progress.update("pictures", static_cast<double>(i) / static_cast<double>(scene.views.size()));
-    if (interrupted()) throw Interrupted{};
     const SceneView& view = scene.views[i];
-    const Index H = view.rgb.dim(1), W = view.rgb.dim(2);
-    const auto render = nn::render_view(
-        made.surfels, camera_of(view.rpc, scene.frame, W, H, scene.z_low, scene.z_high), H, W, 1);
-    pictures.push_back({"views/" + view.name + "_render.png",
-                        [colour = render.colour.value()] { return colour; }});
+    pictures.push_back(
+        {"views/" + view.name + "_render.png", [colour = rendered.colours[i]] { return colour; }});
     pictures.push_back({"views/" + view.name + "_source.png", [&view] { return view.rgb; }});
   }
   // Compression takes as long as rendering, and one picture knows nothing of the other.
@@ -130,6 +168,27 @@ void write_pictures(const OutputFolder& folder, const Reconstruction& made, cons
     write_png(folder / name, picture());
   });
   progress.update("pictures", 1);
+}
+
+/// Fuses what the views see into a mesh, writes it and says what it is.
+nlohmann::ordered_json write_mesh(const fs::path& file, const std::vector<mesh::HeightView>& seen,
+                                  const Reconstruction& made, const rpc::LocalFrame& frame) {
+  const auto start = std::chrono::steady_clock::now();
+  mesh::FusionOptions how;
+  how.voxel = made.voxel;
+  mesh::Mesh surface;
+  try {
+    surface = mesh::mesh_from_views(seen, how);
+  } catch (const Error& e) {
+    throw Error(std::string(e.what()) + "; --mesh none leaves it out");
+  }
+  const double seconds =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  mesh::write_ply(file, surface, frame_comments(frame));
+  return {{"voxel", how.voxel},
+          {"vertices", surface.vertices.size()},
+          {"faces", surface.faces.size()},
+          {"seconds", seconds}};
 }
 
 }  // namespace
@@ -217,7 +276,9 @@ void run_reconstruct(const ReconstructCommand& options) {
   nlohmann::json config{{"images", options.images},
                         {"image_dirs", options.image_dirs},
                         {"weights", weights},
-                        {"resolution", options.resolution}};
+                        {"resolution", options.resolution},
+                        {"mesh", options.mesh ? "tsdf" : "none"},
+                        {"voxel", options.voxel}};
   if (options.height_range)
     config["height_range"] = {options.height_range->low, options.height_range->high};
   RunRecord record("reconstruct", config, 0);
@@ -241,6 +302,7 @@ void run_reconstruct(const ReconstructCommand& options) {
   const auto start = std::chrono::steady_clock::now();
   ReconstructOptions how;
   how.resolution = options.resolution;
+  if (options.mesh) how.mesh = options.voxel;
   how.progress = [&](const std::string& stage, double fraction) {
     poll();
     progress.update(stage, fraction);
@@ -265,7 +327,12 @@ void run_reconstruct(const ReconstructCommand& options) {
   unitless.unit = "", unitless.description = "Confidence of the surface, 0 to 1";
   write_field(folder / "confidence.tif", made.confidence, made.dsm, scene.frame, 0, unitless);
   splat::write_ply(folder / "surfels.ply", made.surfels, frame_comments(scene.frame));
-  write_pictures(folder, made, scene, progress);
+  std::vector<mesh::HeightView> seen;
+  {
+    RenderedViews rendered = render_views(made, scene, options.mesh, progress);
+    write_pictures(folder, made, scene, rendered, progress);
+    seen = std::move(rendered.heights);
+  }
   if (interrupted()) throw Interrupted{};
 
   std::vector<float> known;
@@ -282,6 +349,13 @@ void run_reconstruct(const ReconstructCommand& options) {
     throw Error("reconstruct: no cell of the surface got a height from " + names +
                 ", wanted images that agree; see satsurf info");
   }
+  nlohmann::ordered_json mesh_record;  // null without a mesh
+  if (options.mesh) {
+    progress.update("mesh", 0);
+    mesh_record = write_mesh(folder / "mesh.ply", seen, made, scene.frame);
+    progress.update("mesh", 1);
+    if (interrupted()) throw Interrupted{};
+  }
   record.results() = {{"completeness", made.completeness},
                       {"cells", {H, W}},
                       {"resolution", made.dsm.step},
@@ -297,6 +371,7 @@ void run_reconstruct(const ReconstructCommand& options) {
                       {"camera_fit_max_px", made.camera_fit_max_px},
                       {"planned_memory_bytes", made.planned_memory_bytes},
                       {"memory_by_part", memory_by_part(made)},
+                      {"mesh", mesh_record},
                       {"reconstruct_seconds", seconds}};
   record.save(folder / "run.json");
   folder.commit();
@@ -308,6 +383,9 @@ void run_reconstruct(const ReconstructCommand& options) {
   std::printf("confidence    %.3f on average\n", mean_of(made.confidence));
   std::printf("surfels       %td from %zu images in %td tile%s\n", surfels, scene.views.size(),
               made.tiles, made.tiles == 1 ? "" : "s");
+  if (options.mesh)
+    std::printf("mesh          %td faces, voxels of %g m\n", mesh_record["faces"].get<Index>(),
+                mesh_record["voxel"].get<double>());
   std::printf("time          %.1f s\n", seconds);
   std::printf("written to    %s\n", options.out.c_str());
 }

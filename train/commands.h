@@ -64,6 +64,8 @@ struct ReconstructCommand {
   std::filesystem::path out, weights;  ///< weights may be empty: the shipped ones
   std::optional<rpc::HeightRange> height_range;
   double resolution = 0;  ///< m, 0 for the images' own
+  bool mesh = true;       ///< make one
+  double voxel = 0;       ///< of the mesh, m; 0 for two pixels on the ground
   bool overwrite = false;
   bool dry_run = false;  ///< only say what would be done; `out` may be empty
 };
@@ -101,6 +103,14 @@ struct EvaluateImageOptions {
 /// Scores one picture against another.
 void run_evaluate_image(const EvaluateImageOptions& options);
 
+/// What `evaluate --mesh` is asked.
+struct EvaluateMeshOptions {
+  std::filesystem::path mesh, reference, json;  ///< json may be empty
+  bool overwrite = false;
+};
+/// Scores one mesh against another.
+void run_evaluate_mesh(const EvaluateMeshOptions& options);
+
 /// What `render` is asked.
 struct RenderCommand {
   std::filesystem::path surfels, image, out;  ///< without an image: from straight above
@@ -120,7 +130,7 @@ std::filesystem::path find_weights(const std::filesystem::path& asked);
 std::filesystem::path find_shipped(const std::string& name, const std::string& what,
                                    const std::string& flag);
 
-/// The frame of a surfel file, as comment lines of its header.
+/// The frame of a surfel or mesh file, as comment lines of its header.
 std::vector<std::string> frame_comments(const rpc::LocalFrame& frame);
 /// The inverse of `frame_comments`.
 /// where   begins the error text

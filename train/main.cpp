@@ -266,8 +266,17 @@ void add_reconstruct(CLI::App& app, Common& common, std::function<void()>& run) 
   c->add_option("--resolution", o.resolution, "cell of the surface [size of a pixel on the ground]")
       ->type_name("number in m")
       ->check(number_within(0.01, 1000));
+  static std::string mesh = "tsdf";
+  c->add_option("--mesh", mesh, "how to make mesh.ply: tsdf (fused heights of all views), or none")
+      ->type_name("HOW")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"tsdf", "none"}).description(""));
+  c->add_option("--voxel", o.voxel, "detail of the mesh [two pixels on the ground]")
+      ->type_name("number in m")
+      ->check(number_within(0.01, 1000));
   c->callback([&] {
     if (!o.dry_run && o.out.empty()) throw CLI::RequiredError("--out");
+    o.mesh = mesh != "none";
     if (range.size() == 2) o.height_range = rpc::HeightRange{range[0], range[1]};
     run = [] { run_reconstruct(o); };
   });
@@ -277,10 +286,11 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
   static EvaluateDsmOptions d;
   static EvaluateDataOptions s;
   static EvaluateImageOptions p;
+  static EvaluateMeshOptions m;
   static bool keep_water = false;
   CLI::App* c = add_command(app, common, "evaluate",
-                            "score one surface, or a network on a data set, against the truth, or "
-                            "one picture against another");
+                            "score one surface, or a network on a data set, against the truth, one "
+                            "picture or one mesh against another");
   CLI::Option* dsm =
       c->add_option("--dsm", d.dsm, "surface to score")->type_name("FILE")->group("One surface");
   CLI::Option* truth =
@@ -343,12 +353,28 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
                 "LPIPS v0.1 (alex, squeeze or vgg) as safetensors of its state_dict; no LPIPS of "
                 "a picture or a data set's rendered views without")
       ->type_name("FILE");
+  CLI::Option* mesh = c->add_option("--mesh", m.mesh, "mesh to score: a binary PLY")
+                          ->type_name("FILE")
+                          ->group("One mesh")
+                          ->excludes(dsm)
+                          ->excludes(data)
+                          ->excludes(image);
+  CLI::Option* reference_mesh =
+      c->add_option("--reference-mesh", m.reference, "mesh it should be, in the same system")
+          ->type_name("FILE")
+          ->group("One mesh");
   c->add_option("--register", d.registration, "what is taken out first: none, z or xyz")
       ->type_name("HOW")
       ->capture_default_str();
   c->add_option("--json", d.json, "all numbers and where they came from")->type_name("FILE");
   c->add_flag("--overwrite", d.overwrite, "replace files that exist");
-  c->callback([&, dsm, truth, data, image, reference] {
+  c->callback([&, dsm, truth, data, image, reference, mesh, reference_mesh] {
+    if (mesh->count() > 0) {
+      if (reference_mesh->count() == 0) throw CLI::RequiredError("--reference-mesh");
+      m.json = d.json, m.overwrite = d.overwrite;
+      run = [] { run_evaluate_mesh(m); };
+      return;
+    }
     if (image->count() > 0) {
       if (reference->count() == 0) throw CLI::RequiredError("--reference");
       p.json = d.json, p.overwrite = d.overwrite;
@@ -356,7 +382,8 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
       return;
     }
     if (data->count() == 0 && (dsm->count() == 0 || truth->count() == 0))
-      throw CLI::RequiredError("--dsm and --truth, --data, or --image and --reference");
+      throw CLI::RequiredError(
+          "--dsm and --truth, --data, --image and --reference, or --mesh and --reference-mesh");
     s.registration = d.registration, s.json = d.json, s.mask_water = !keep_water,
     s.overwrite = d.overwrite, s.lpips_weights = p.lpips_weights;
     run = [] { s.data.empty() ? run_evaluate_dsm(d) : run_evaluate_data(s); };

@@ -110,14 +110,15 @@ void plan_tiles(ReconstructPlan& plan, const Scene& scene, double z, Index asked
     }
 }
 
-/// Fills in what the program needs at most: while the network looks at the last window, or while
-/// the surface is rendered.
+/// Fills in what the program needs at most: while the network looks at the last window, while the
+/// surface is rendered, or while a mesh is made of it.
 void plan_memory(ReconstructPlan& plan, const nn::ModelConfig& model, const Scene& scene) {
   constexpr double kProgram = 150e6;         // code, libraries and weights
   constexpr double kKept = 1.2;              // tensors, with freed ones that wait for reuse
   constexpr double kView = 4, kSurfel = 14;  // floats a pixel, floats a surfel
   constexpr double kSplat = 24, kMaps = 19;  // floats a surfel, floats a cell, to render
   constexpr double kLists = 21;              // floats a surfel, beside the tensors
+  constexpr double kSeen = 9, kMesh = 110;   // floats a pixel, floats a column of voxels
   const Index views = static_cast<Index>(scene.views.size());
   const double window = static_cast<double>(plan.window) * static_cast<double>(plan.window) *
                         static_cast<double>(views);
@@ -130,9 +131,13 @@ void plan_memory(ReconstructPlan& plan, const nn::ModelConfig& model, const Scen
       sizeof(float) * (kView * window + kSurfel * (pixels - std::min(pixels, window)));
   const double render = sizeof(float) * (kSplat * pixels + kMaps * cells);
   plan.memory.push_back({"surface", render});
+  const double columns =
+                   plan.voxel > 0 ? cells * plan.step * plan.step / (plan.voxel * plan.voxel) : 0,
+               mesh = columns > 0 ? (kSurfel + kSeen) * pixels + kMesh * columns : 0;
   plan.memory_bytes =
-      kProgram + kKept * (sizeof(float) * kView * pixels +
-                          std::max(network, render + sizeof(float) * kLists * pixels));
+      kProgram +
+      kKept * (sizeof(float) * kView * pixels +
+               std::max({network, render + sizeof(float) * kLists * pixels, sizeof(float) * mesh}));
 }
 
 /// Rows of `t` ([P ...]) named by `keep`.
@@ -298,6 +303,9 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const Scene& s
   // The grid starts at a whole multiple of its step, so that runs over one place share their cells.
   const double step = options.resolution > 0 ? options.resolution : std::round(footprint * 20) / 20;
   plan.step = step;
+  if (options.mesh)
+    plan.voxel =
+        *options.mesh > 0 ? *options.mesh : std::max(0.05, std::round(40 * footprint) / 20);
   plan.east = std::floor((ground.x0 + scene.frame.easting0) / step) * step - scene.frame.easting0;
   plan.north = std::ceil((ground.y1 + scene.frame.northing0) / step) * step - scene.frame.northing0;
   plan.width = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - plan.east) / step)));
@@ -341,6 +349,7 @@ Reconstruction reconstruct(const nn::Model& model, const Scene& scene,
   }
 
   out.tiles = static_cast<Index>(plan.tiles.size());
+  out.voxel = plan.voxel;
   out.planned_memory_bytes = plan.memory_bytes;
   out.planned_memory = plan.memory;
   out.surfels = joined(parts);

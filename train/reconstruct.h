@@ -16,6 +16,8 @@ struct ReconstructOptions {
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;
+  /// Voxel of the mesh that will be made of it, m, 0 for two ground pixels; none without a mesh.
+  std::optional<double> mesh;
   /// May be empty, and may throw to stop. Called often, also without progress.
   std::function<void(const std::string& stage, double fraction)> progress;
 };
@@ -26,6 +28,7 @@ struct Reconstruction {
   Tensor confidence;       ///< [H W] in [0, 1], NaN like the DSM
   splat::Surfels surfels;  ///< in the local frame
   Index tiles = 0;
+  double voxel = 0;         ///< see ReconstructPlan
   double completeness = 0;  ///< share of the common footprint's cells that got a height
   /// Largest distance between a camera and the quadratics that stood in for it, px. Above 0.1 it
   /// begins to show in the heights.
@@ -47,6 +50,7 @@ struct ReconstructPlan {
   Ground ground;                ///< that two views see
   double east = 0, north = 0;   ///< upper-left corner of the DSM, local m
   double step = 0;              ///< its cell, m
+  double voxel = 0;             ///< of the mesh, m; 0 without one
   Index height = 0, width = 0;  ///< its cells
   Index window = 0;             ///< side of the network's windows, px
   std::vector<Ground> tiles;    ///< what each window answers for

@@ -129,10 +129,19 @@ holds "and what each part of it takes" grep -qE "^  volumes 3 +[0-9.]+ [MG]B" st
 holds "it writes nothing" test ! -e out
 succeeds "reconstruct" "$satsurf" reconstruct "${images[@]}" --out out --weights $weights --quiet
 holds "it records how well the cameras were fitted" grep -qE '"camera_fit_max_px": [0-9]' out/run.json
-for file in dsm.tif confidence.tif surfels.ply run.json height.png hillshade.png confidence.png \
+for file in dsm.tif confidence.tif surfels.ply mesh.ply run.json height.png hillshade.png confidence.png \
   views/SIM_001_001_RGB_render.png views/SIM_001_003_RGB_source.png; do
   holds "reconstruct writes $file" test -s "out/$file"
 done
+holds "it records the mesh and how long it took" grep -qE '"voxel": [0-9.]+,?$' out/run.json
+holds "it says what the mesh is" grep -qE "^mesh +[0-9]+ faces, voxels of [0-9.]+ m$" stdout
+succeeds "no mesh" "$satsurf" reconstruct "${images[@]}" --out bare --weights $weights --mesh none --quiet
+holds "the rest is the same without" diff -r -x run.json -x mesh.ply out bare
+holds "and there is no mesh" test ! -e bare/mesh.ply
+holds "and none in the record" grep -qE '"mesh": null' bare/run.json
+rm -rf bare
+succeeds "a coarse mesh" "$satsurf" reconstruct "${images[@]}" --out coarse --weights $weights --voxel 3 --quiet
+holds "it is smaller" test "$(stat -c %s coarse/mesh.ply)" -lt "$(stat -c %s out/mesh.ply)"
 succeeds "reconstruct on one thread" "$satsurf" reconstruct "${images[@]}" --out one --weights $weights --threads 1 --quiet
 holds "threads do not change a byte" diff -r -x run.json out one
 succeeds "weights from the environment" env SATSURF_WEIGHTS=$weights "$satsurf" reconstruct "${images[@]}" --out one --overwrite --quiet
@@ -172,6 +181,19 @@ for read in $weights $truth data/Track3-RGB/SIM_002_004_RGB.tif; do
   holds "it records that it read $read" grep -qF "\"path\": \"$read\"" all.json
 done
 holds "one row per scene, a heading and the mean" test "$(wc -l <all.csv)" -eq 4
+succeeds "evaluate a mesh" "$satsurf" evaluate --mesh coarse/mesh.ply --reference-mesh out/mesh.ply --json mesh.json
+holds "it prints the distance" grep -qE "^surfaces +chamfer +[0-9.]+ m" stdout
+holds "it prints F1" grep -qE "within 1.0 m  F1 [01]\.[0-9]{3}  precision [01]\.[0-9]{3}  recall [01]\.[0-9]{3}$" stdout
+for key in chamfer f1 precision recall without_walls 0.5 2.5; do
+  holds "the record has $key" grep -qF "\"$key\": " mesh.json
+done
+for read in coarse/mesh.ply out/mesh.ply; do
+  holds "it records that it read $read" grep -qF "\"path\": \"$read\"" mesh.json
+done
+succeeds "evaluate a mesh against itself" "$satsurf" evaluate --mesh out/mesh.ply --reference-mesh out/mesh.ply
+holds "nothing lies between" grep -qE "^surfaces +chamfer +0\.000 m" stdout
+sed 's/^comment crs EPSG:32\([67]\)../comment crs EPSG:32\160/' out/mesh.ply >elsewhere.ply
+sed 's/^comment \(crs\|origin\) .*/comment none/' out/mesh.ply >nowhere.ply
 pictures=(--image out/views/SIM_001_001_RGB_render.png --reference out/views/SIM_001_001_RGB_source.png)
 succeeds "evaluate a picture" "$satsurf" evaluate "${pictures[@]}" --json picture.json
 holds "it prints the similarity" grep -qE "^SSIM +0\.[0-9]{5}$" stdout
@@ -262,6 +284,11 @@ refuses "crop that does not fit mono" 2 "crop is 48, expected a multiple of 32" 
 refuses "heights the wrong way round" 2 "height-range" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 50 10
 refuses "unknown registration" 2 "xy.*none, z or xyz" "$satsurf" evaluate --dsm $truth --truth $truth --register xy
 refuses "a picture without a reference" 2 "--reference" "$satsurf" evaluate --image out/height.png
+refuses "a mesh without a reference" 2 "--reference-mesh" "$satsurf" evaluate --mesh out/mesh.ply
+refuses "a mesh and a picture" 2 "--mesh excludes --image|--image excludes --mesh" \
+  "$satsurf" evaluate --mesh out/mesh.ply --reference-mesh out/mesh.ply --image out/height.png
+refuses "another kind of mesh" 2 "--mesh.*poisson" "$satsurf" reconstruct "${images[@]}" --out no --mesh poisson
+refuses "voxels of nothing" 2 "--voxel.*0, wanted a number from 0.01" "$satsurf" reconstruct "${images[@]}" --out no --voxel 0
 refuses "a picture and a surface" 2 "--image excludes --dsm|--dsm excludes --image" \
   "$satsurf" evaluate --image out/height.png --reference out/height.png --dsm $truth --truth $truth
 refuses "no output folder" 2 "--out" "$satsurf" reconstruct "${images[@]}" --weights $weights
@@ -335,6 +362,15 @@ refuses "pictures of two sizes" 1 "height.png and .*source.png: [0-9]+ x [0-9]+ 
   scores --image out/height.png --reference out/views/SIM_001_001_RGB_source.png
 refuses "a mask of another size" 1 "out/height.png: .*wanted 96 x 96 px" scores "${pictures[@]}" --mask out/height.png
 refuses "a network's weights for LPIPS" 1 "$weights: no net.slice1.0.weight" scores "${pictures[@]}" --lpips-weights $weights
+meshes() { "$satsurf" evaluate --mesh "$1" --reference-mesh "$2" "${@:3}"; }
+refuses "existing mesh scores" 1 "--json: mesh.json exists; use --overwrite" meshes out/mesh.ply out/mesh.ply --json mesh.json
+refuses "mesh scores into the reference" 1 "--json: out/mesh.ply is an input" \
+  meshes coarse/mesh.ply out/mesh.ply --json out/mesh.ply --overwrite
+refuses "a mesh that is missing" 1 "gone.ply: cannot be opened" meshes out/mesh.ply gone.ply
+refuses "surfels for a mesh" 1 "out/surfels.ply: no faces, expected a mesh" meshes out/surfels.ply out/mesh.ply
+refuses "a mesh in another zone" 1 "elsewhere.ply: EPSG:32[67][0-9]{2} and EPSG:32[67]60, wanted one system" meshes out/mesh.ply elsewhere.ply
+refuses "a mesh without a place" 1 "out/mesh.ply and nowhere.ply: EPSG:32[67][0-9]{2} and no system, wanted one system" \
+  meshes out/mesh.ply nowhere.ply
 refuses "no weights for LPIPS" 1 "gone.safetensors" scores "${pictures[@]}" --lpips-weights gone.safetensors
 refuses "two results in one file" 1 "out/../both: named for two" scores "${scored[@]}" --error-map out/../both --json both
 refuses "an error map where no file can be" 1 "--error-map: text.txt/e.png cannot be written" \

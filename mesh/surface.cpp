@@ -1,0 +1,231 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/mesh/surface.h"
+
+#include "satsurf/core/error.h"
+#include "satsurf/core/parallel.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <numeric>
+#include <string>
+#include <vector>
+
+#include <openvdb/Grid.h>
+#include <openvdb/tools/VolumeToMesh.h>
+
+// The only file that knows OpenVDB: its headers take the better part of a minute to compile.
+
+namespace satsurf::mesh {
+namespace {
+
+using Leaf = openvdb::FloatTree::LeafNodeType;
+using Triangle = std::array<std::uint32_t, 3>;
+using Point = std::array<double, 3>;
+
+constexpr Index kTile = Tsdf::kTile;
+static_assert(kTile == Index{Leaf::DIM});
+
+/// The values of a tile with one voxel more on every side.
+class Padded {
+ public:
+  Padded(const Tsdf& field, Index tile)
+      : bottom_(field.tiles[static_cast<std::size_t>(tile)].bottom),
+        layers_(field.tiles[static_cast<std::size_t>(tile)].layers),
+        values_(static_cast<std::size_t>(kSide * kSide * (layers_ + 2))) {
+    const Index i0 = tile % field.columns * kTile, j0 = tile / field.columns * kTile;
+    for (Index l = -1; l <= layers_; ++l)
+      for (Index j = -1; j <= kTile; ++j)
+        for (Index i = -1; i <= kTile; ++i)
+          values_[index(i, j, l)] = field.at(i0 + i, j0 + j, bottom_ + l);
+  }
+
+  float at(Index i, Index j, Index l) const { return values_[index(i, j, l)]; }
+  /// Whether surface passes next to the voxel, through cells of which every corner is known.
+  bool active(Index i, Index j, Index l) const {
+    const bool inside = at(i, j, l) < 0;
+    const bool crossed = (at(i - 1, j, l) < 0) != inside || (at(i + 1, j, l) < 0) != inside ||
+                         (at(i, j - 1, l) < 0) != inside || (at(i, j + 1, l) < 0) != inside ||
+                         (at(i, j, l - 1) < 0) != inside || (at(i, j, l + 1) < 0) != inside;
+    if (!crossed) return false;
+    for (Index c = -1; c <= 1; ++c)
+      for (Index b = -1; b <= 1; ++b)
+        for (Index a = -1; a <= 1; ++a)
+          if (std::isnan(at(i + a, j + b, l + c))) return false;
+    return true;
+  }
+
+ private:
+  static constexpr Index kSide = kTile + 2;
+  static std::size_t index(Index i, Index j, Index l) {
+    return static_cast<std::size_t>(((l + 1) * kSide + j + 1) * kSide + i + 1);
+  }
+
+  Index bottom_, layers_;
+  std::vector<float> values_;
+};
+
+/// The leaves that hold a tile.
+std::vector<std::unique_ptr<Leaf>> leaves_of(const Tsdf& field, Index tile) {
+  const auto [bottom, layers, first] = field.tiles[static_cast<std::size_t>(tile)];
+  std::vector<std::unique_ptr<Leaf>> out;
+  if (layers == 0) return out;
+  const Padded values(field, tile);
+  const auto outside = static_cast<float>(field.truncation * field.voxel);
+  const auto coord = [&](Index i, Index j, Index k) {
+    return openvdb::Coord(static_cast<int>(tile % field.columns * kTile + i),
+                          static_cast<int>(tile / field.columns * kTile + j), static_cast<int>(k));
+  };
+  for (Index l = 0; l < layers; ++l) {
+    const openvdb::Coord base = coord(0, 0, bottom + l);
+    if (out.empty() || out.back()->origin().z() != (base.z() & ~(static_cast<int>(kTile) - 1)))
+      out.push_back(std::make_unique<Leaf>(base, outside, false));
+    Leaf& leaf = *out.back();
+    for (Index j = 0; j < kTile; ++j)
+      for (Index i = 0; i < kTile; ++i) {
+        const float v = values.at(i, j, l);
+        const openvdb::Index n = Leaf::coordToOffset(coord(i, j, bottom + l));
+        leaf.setValueOnly(n, std::isnan(v) ? outside : v);
+        leaf.setActiveState(n, !std::isnan(v) && values.active(i, j, l));
+      }
+  }
+  return out;
+}
+
+openvdb::FloatTree::Ptr tree_of(const Tsdf& field) {
+  std::vector<std::vector<std::unique_ptr<Leaf>>> leaves(field.tiles.size());
+  for_each_index(static_cast<Index>(field.tiles.size()),
+                 [&](Index t) { leaves[static_cast<std::size_t>(t)] = leaves_of(field, t); });
+  auto tree =
+      std::make_shared<openvdb::FloatTree>(static_cast<float>(field.truncation * field.voxel));
+  for (auto& tile : leaves)
+    for (auto& leaf : tile) tree->addLeaf(leaf.release());
+  return tree;
+}
+
+Point point(const Mesh& mesh, std::uint32_t v) {
+  const auto& p = mesh.vertices[v];
+  return {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])};
+}
+
+/// Twice the area of a face, along its normal.
+Point doubled_area(const Mesh& mesh, const Triangle& f) {
+  const Point a = point(mesh, f[0]), b = point(mesh, f[1]), c = point(mesh, f[2]);
+  const Point u{b[0] - a[0], b[1] - a[1], b[2] - a[2]}, v{c[0] - a[0], c[1] - a[1], c[2] - a[2]};
+  return {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
+}
+
+double length(const Point& p) { return std::sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]); }
+
+/// Two triangles, cut along the shorter diagonal.
+void add_quad(Mesh& mesh, std::uint32_t a, std::uint32_t b, std::uint32_t c, std::uint32_t d) {
+  const auto distance = [&](std::uint32_t p, std::uint32_t q) {
+    const Point x = point(mesh, p), y = point(mesh, q);
+    return length({x[0] - y[0], x[1] - y[1], x[2] - y[2]});
+  };
+  if (distance(a, c) <= distance(b, d)) {
+    mesh.faces.push_back({a, b, c});
+    mesh.faces.push_back({a, c, d});
+  } else {
+    mesh.faces.push_back({a, b, d});
+    mesh.faces.push_back({b, c, d});
+  }
+}
+
+/// Leaves out connected pieces below an area, and vertices without a face.
+void drop_small_pieces(Mesh& mesh, double least_area) {
+  std::vector<std::uint32_t> parent(mesh.vertices.size());
+  std::iota(parent.begin(), parent.end(), 0u);
+  const auto root = [&](std::uint32_t v) {
+    while (parent[v] != v) v = parent[v] = parent[parent[v]];
+    return v;
+  };
+  for (const Triangle& f : mesh.faces)
+    for (const std::uint32_t v : {f[1], f[2]}) {
+      const std::uint32_t a = root(f[0]), b = root(v);
+      parent[std::max(a, b)] = std::min(a, b);
+    }
+  std::vector<double> area(mesh.vertices.size(), 0.0);
+  for (const Triangle& f : mesh.faces) area[root(f[0])] += 0.5 * length(doubled_area(mesh, f));
+  const double largest = area.empty() ? 0 : *std::max_element(area.begin(), area.end());
+  const double least = std::min(least_area, largest);
+  std::erase_if(mesh.faces, [&](const Triangle& f) { return area[root(f[0])] < least; });
+
+  constexpr std::uint32_t kUnused = 0xffffffff;
+  std::vector<std::uint32_t> number(mesh.vertices.size(), kUnused);
+  for (const Triangle& f : mesh.faces)
+    for (const std::uint32_t v : f) number[v] = 0;
+  std::uint32_t next = 0;
+  for (std::size_t v = 0; v < number.size(); ++v) {
+    if (number[v] == kUnused) continue;
+    number[v] = next;
+    mesh.vertices[next++] = mesh.vertices[v];
+  }
+  mesh.vertices.resize(next);
+  for (Triangle& f : mesh.faces)
+    for (std::uint32_t& v : f) v = number[v];
+}
+
+/// Normals of vertices: of their faces, weighted by area.
+void find_normals(Mesh& mesh) {
+  std::vector<Point> sum(mesh.vertices.size(), Point{0, 0, 0});
+  for (const Triangle& f : mesh.faces) {
+    const Point n = doubled_area(mesh, f);
+    for (const std::uint32_t v : f)
+      for (std::size_t a = 0; a < 3; ++a) sum[v][a] += n[a];
+  }
+  mesh.normals.resize(sum.size());
+  for (std::size_t v = 0; v < sum.size(); ++v) {
+    const double l = length(sum[v]);
+    for (std::size_t a = 0; a < 3; ++a)
+      mesh.normals[v][a] = l > 0 ? static_cast<float>(sum[v][a] / l) : (a == 2 ? 1.f : 0.f);
+  }
+}
+
+}  // namespace
+
+Mesh extract_surface(const Tsdf& field, double least_area) {
+  openvdb::tools::VolumeToMesh found(0.0, 0.0);
+  // In the arena of our loops, so that the cap on threads holds.
+  detail::run_pieces(1, [&](Index) {
+    openvdb::FloatGrid grid(tree_of(field));
+    found(grid);
+  });
+  Mesh mesh;
+  mesh.vertices.resize(found.pointListSize());
+  for (std::size_t v = 0; v < mesh.vertices.size(); ++v) {
+    const openvdb::Vec3s& p = found.pointList()[v];
+    const double at[3] = {static_cast<double>(p[0]) + static_cast<double>(field.column),
+                          static_cast<double>(p[1]) + static_cast<double>(field.row),
+                          static_cast<double>(p[2])};
+    for (std::size_t a = 0; a < 3; ++a)
+      mesh.vertices[v][a] = static_cast<float>(at[a] * field.voxel);
+  }
+  for (std::size_t n = 0; n < found.polygonPoolListSize(); ++n) {
+    const openvdb::tools::PolygonPool& pool = found.polygonPoolList()[n];
+    for (std::size_t i = 0; i < pool.numQuads(); ++i) {
+      const openvdb::Vec4I& q = pool.quad(i);
+      add_quad(mesh, q[0], q[1], q[2], q[3]);
+    }
+    for (std::size_t i = 0; i < pool.numTriangles(); ++i) {
+      const openvdb::Vec3I& t = pool.triangle(i);
+      mesh.faces.push_back({t[0], t[1], t[2]});
+    }
+  }
+  drop_small_pieces(mesh, least_area);
+  if (mesh.faces.empty())
+    throw Error("extract_surface: no surface in " + std::to_string(field.values.count()) +
+                " voxels, wanted one; views that see the same ground give one");
+  find_normals(mesh);
+  return mesh;
+}
+
+Mesh mesh_from_views(std::span<const HeightView> views, const FusionOptions& options) {
+  constexpr double kLeastSide = 20;  // voxels; smaller pieces are noise that hangs in the air
+  const double side = kLeastSide * options.voxel;
+  Mesh mesh = extract_surface(fuse(views, options), side * side);
+  colour_vertices(mesh, views, options);
+  return mesh;
+}
+
+}  // namespace satsurf::mesh
