@@ -22,6 +22,8 @@
 #include "satsurf/nn/module.h"
 #include "satsurf/nn/mono.h"
 #include "satsurf/nn/scene.h"
+#include "satsurf/ops/attention.h"
+#include "satsurf/ops/blend.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/conv.h"
 #include "satsurf/ops/cost_volume.h"

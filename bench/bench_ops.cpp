@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/bench/bench.h"
+#include "satsurf/ops/attention.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/cost_volume.h"
 #include "satsurf/ops/elementwise.h"
@@ -204,6 +205,16 @@ OpCase matmul_case(const benchmark::State& s) {
           {3 * flop, bytes_of(3 * a + 3 * b + 2 * c)}};
 }
 
+/// Arguments: heads, tokens, channels of a head. Backward makes the weights again: 7 products to 2.
+OpCase attention_case(const benchmark::State& s) {
+  const Index H = s.range(0), N = s.range(1), d = s.range(2);
+  const double flop = 4 * number(H * N * N * d), map = number(H * N * d);
+  return {{normal({H, N, d}), normal({H, N, d}, 2), normal({H, N, d}, 3)},
+          [](const Vars& v) { return attention(v[0], v[1], v[2]); },
+          {flop, bytes_of(4 * map)},
+          {3.5 * flop, bytes_of(12 * map)}};
+}
+
 }  // namespace
 
 void add_op_rows() {
@@ -217,6 +228,7 @@ void add_op_rows() {
   add_softmax_rows();
   add_op("plane_sweep_variance", volume_names,
          {{32, 64, 64}, {32, 48, 64}, {16, 32, 128}, {8, 8, 256}}, plane_sweep_case);
+  add_op("attention", {"heads", "tokens", "width"}, {{6, 1370, 64}}, attention_case);
   add_op("matmul", {"M", "K", "N"},
          {{1369, 384, 1536}, {1369, 1536, 384}, {1370, 384, 1152}, {16384, 64, 64}}, matmul_case);
 }
