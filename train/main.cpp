@@ -222,6 +222,7 @@ void add_train(CLI::App& app, Common& common, std::function<void()>& run) {
       ->excludes(resume);
   TrainConfig defaults;
   defaults.model = nn::model_preset(defaults.preset);
+  static_cast<LossConfig&>(defaults) = loss_preset(defaults.preset);
   static ConfigFlags<TrainConfig> surface(*c, defaults);
   static ConfigFlags<MonoTrainConfig> mono(*c, {}, "--task mono", "task");
   c->callback([&, c, defaults] {

@@ -14,7 +14,7 @@ namespace satsurf::train {
 
 /// Everything the training of the surface network depends on besides data and seed.
 struct TrainConfig : TrainingSettings, LossConfig {
-  std::string preset = "base8";  ///< starting point of `model` and of the losses
+  std::string preset = "cascade8";  ///< starting point of `model` and of the losses
   nn::ModelConfig model;
   std::string mono_weights;   ///< of the monocular branch, from `--task mono`; see `train`
   std::string mono_found;     ///< the file where `mono_weights` is empty; no field, not recorded
