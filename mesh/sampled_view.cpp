@@ -91,6 +91,13 @@ void SampledView::weigh(const Tensor& confidence) {
     return {static_cast<double>(gb[0] - ga[0]), static_cast<double>(gb[1] - ga[1]),
             static_cast<double>(z(b) - z(a))};
   };
+  // Whether a pixel stands out from both neighbours by more than the truncation: a mistake.
+  const auto stands_out = [&](Index p, Index stride, bool inner) {
+    if (!inner) return false;
+    const auto a = static_cast<double>(z(p) - z(p - stride)),
+               b = static_cast<double>(z(p) - z(p + stride));
+    return a * b > 0 && std::min(std::abs(a), std::abs(b)) > limit_;
+  };
   for_range(H_, 16, [&](Index begin, Index end) {
     for (Index r = begin; r < end; ++r) {
       // The ray's direction changes by far less than a degree within a row.
@@ -104,7 +111,9 @@ void SampledView::weigh(const Tensor& confidence) {
         const Vector n = cross(step(p, 1, c > 0, c + 1 < W_), step(p, W_, r > 0, r + 1 < H_));
         const double length = std::sqrt(dot(n, n) * dot(ray, ray));
         const double cosine = length > 0 ? std::abs(dot(n, ray)) / length : 0;
-        if (!(cosine >= kLeastCosine)) continue;
+        if (!(cosine >= kLeastCosine) || stands_out(p, 1, c > 0 && c + 1 < W_) ||
+            stands_out(p, W_, r > 0 && r + 1 < H_))
+          continue;
         const double sure = confidence.empty()
                                 ? 1
                                 : std::clamp(static_cast<double>(confidence[p]), kLeastSure, 1.0);

@@ -54,7 +54,8 @@ struct Tsdf {
 /// So a voxel that every view of it takes to be behind its surface is solid: what no view has seen
 /// empty is not carved. One that no view has a height for is unknown. H is bilinear, and the
 /// nearest pixel's where neighbours are further apart than the truncation; normals come from
-/// differences of H.
+/// differences of H. Pixels that stand out from both neighbours by more than the truncation, or
+/// face their ray so obliquely (cos < 0.03) that they show a jump and no surface, say nothing.
 /// Source: Curless and Levoy 1996. f is ours: a view that sees past a wall knows more of the space
 /// in front of it than one to which it lies behind a roof, and without f walls bulge outwards. The
 /// rest of f, also beyond the truncation, keeps a single wrong pixel from drilling a shaft.

@@ -208,6 +208,41 @@ TEST_CASE("single wrong pixels neither drill shafts nor raise towers") {
   }
 }
 
+TEST_CASE("a mistake of one or two pixels says nothing, even where no other view does") {
+  for (const Index side : {1, 2}) {
+    CAPTURE(side);
+    const AffineCamera camera{0.5, 0.3, 0.2, 40};
+    HeightView v{
+        Tensor({80, 80}, 7.f), {}, {}, camera.pixel_from_local(), camera.local_from_pixel()};
+    Rng rng(8);
+    for (int k = 0; k < 12; ++k) {
+      const Index x = 4 + 6 * rng.below(12), y = 4 + 6 * k;
+      const float off = (side == 1 ? 8.f : 50.f) * (rng.chance(0.5) ? 1.f : -1.f);
+      for (Index p = 0; p < side * side; ++p)
+        v.height[(y + p / side) * 80 + x + p % side] = 7 + off;
+    }
+    const Mesh m = mesh::extract_surface(mesh::fuse(std::vector{v}, {0.5, 5}), 0);
+    CHECK(m.vertices.size() > 5000);
+    for (const auto& p : m.vertices) CHECK(std::abs(p[2] - 7) < 0.5f);
+  }
+}
+
+TEST_CASE("behind a tower that one camera sees the surface goes down along its rays") {
+  Box box;
+  box.top = 17, box.turn = 0.2, box.half_x = 4, box.half_y = 4;
+  const Mesh m = mesh::mesh_from_views(views_of(box, 160, {{1.2, 0.5}}), {0.5, 5});
+  const Edges edges(m);
+  float high = 0;
+  for (const auto& p : m.vertices) high = std::max(high, p[2]);
+  CHECK(high > 16.5f);
+  for (const auto& [edge, n] : edges.count) {
+    REQUIRE(n == 1);
+    if (edges.count.contains({edge.second, edge.first})) continue;
+    const auto& p = m.vertices[edge.first];
+    CHECK(std::max(std::abs(p[0]), std::abs(p[1])) > 30);  // the rim of the picture
+  }
+}
+
 TEST_CASE("values are the weighted mean of the views' distances along their rays") {
   const double voxel = 0.7;
   SUBCASE("one slanting view of a slope") {
