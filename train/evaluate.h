@@ -65,8 +65,8 @@ struct EvaluateOptions {
 /// A DSM after one registration.
 struct RegisteredScores {
   HeightScores scores;
-  HeightScores
-      filled;  ///< with its holes filled on the truth's grid after registering, see `filled`
+  /// With its holes filled on the truth's grid after registering, see `filled`.
+  HeightScores filled;
   std::array<double, 3> shift{0, 0, 0};  ///< added to the prediction: east, north, up, m
 };
 
