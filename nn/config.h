@@ -35,7 +35,9 @@ struct ModelConfig {
   std::string guidance_norm = "robust";  ///< robust | interval
   std::string keep =
       "last";  ///< surfels of a stage: last (its own) | all (the stages' before, too)
-  std::string confidence = "floor";  ///< C as fusion reads it: raw | floor, (C - 1/D) / (1 - 1/D)
+  /// What fusion, loss routing, surfels and confidence maps read (`effective_confidence`): raw, the
+  /// published C = max P | floor, (C - 1/D) / (1 - 1/D) | joint.
+  std::string confidence = "joint";
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -85,7 +87,8 @@ struct ModelConfig {
       Field{.help = "whose surfels a stage hands on: its own or all so far",
             .choices = {"last", "all"}});
     v("confidence", s.confidence,
-      Field{.help = "confidence that fusion and loss routing read", .choices = {"raw", "floor"}});
+      Field{.help = "confidence that fusion, loss routing and surfels read",
+            .choices = {"raw", "floor", "joint"}});
   }
 
   friend bool operator==(const ModelConfig&, const ModelConfig&) = default;

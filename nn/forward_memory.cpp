@@ -42,7 +42,7 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
     const double scratch = std::min(kScratch * threads(), 0.25 * D * p * v * pixels) / pixels;
     const double volume = N * D + D * std::max(C + v, 2.3 * v), distribution = 2 * N * D + 2 * N;
     add("volumes" + stage, kept + std::max(p * volume + scratch, p * distribution));
-    kept += N * p * (D + 2);  // probability, height, confidence
+    kept += N * p * (D + 3);  // probability, height, two confidences
     // One view's input, once more in parts, and three layers of the head; then all raw attributes,
     // packed surfels and their attributes.
     const double images = s < 2 ? 3 * N : 0;

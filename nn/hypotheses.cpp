@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/hypotheses.h"
 
+#include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 
 #include <algorithm>
@@ -58,11 +59,45 @@ BasicTensor<T> narrowed_hypotheses(const BasicTensor<T>& centre, double interval
   return out;
 }
 
+template <class T>
+BasicTensor<T> probability_within(const BasicTensor<T>& probability,
+                                  const BasicTensor<T>& hypotheses, const BasicTensor<T>& height,
+                                  double interval, double reach) {
+  Dims dim("probability_within");
+  dim.match("probability", probability, "N D H W")
+      .match("hypotheses", hypotheses, "N D H W")
+      .match("height", height, "N H W");
+  const Index D = dim["D"], P = dim["H"] * dim["W"];
+  auto out = BasicTensor<T>::uninitialised(height.shape());
+  const T scale = static_cast<T>(1 / interval), most = static_cast<T>(reach / interval + 0.5);
+  for_range(height.count(), 1 << 12, [&](Index begin, Index end) {
+    for (Index from = begin; from < end;) {  // pixels of one map
+      const Index n = from / P, to = std::min(end, (n + 1) * P);
+      std::fill(out.data() + from, out.data() + to, T(0));
+      for (Index d = 0; d < D; ++d) {
+        const Index at = (n * D + d - n) * P;  // from a pixel of the maps to one of the volume
+        for (Index i = from; i < to; ++i) {
+          const T far = std::abs(hypotheses[at + i] - height[i]) * scale;
+          out[i] += probability[at + i] * std::clamp(most - far, T(0), T(1));
+        }
+      }
+      // probabilities add up to 1 but for rounding
+      for (Index i = from; i < to; ++i) out[i] = std::min(out[i], T(1));
+      from = to;
+    }
+  });
+  return out;
+}
+
 template BasicTensor<float> uniform_hypotheses(double, double, Index, Index, Index, Index);
 template BasicTensor<double> uniform_hypotheses(double, double, Index, Index, Index, Index);
 template BasicTensor<float> narrowed_hypotheses(const BasicTensor<float>&, double, Index, double,
                                                 double);
 template BasicTensor<double> narrowed_hypotheses(const BasicTensor<double>&, double, Index, double,
                                                  double);
+template Tensor probability_within(const Tensor&, const Tensor&, const Tensor&, double, double);
+template BasicTensor<double> probability_within(const BasicTensor<double>&,
+                                                const BasicTensor<double>&,
+                                                const BasicTensor<double>&, double, double);
 
 }  // namespace satsurf::nn

@@ -39,4 +39,16 @@ template <class T>
 BasicTensor<T> narrowed_hypotheses(const BasicTensor<T>& centre, double interval, Index hypotheses,
                                    double low, double high);
 
+/// Probability that the surface lies within `reach` of a pixel's height, where each hypothesis
+/// stands for the interval around it.
+/// probability, hypotheses  [N D H W]; m, evenly spaced
+/// height                   [N H W] m
+/// interval, reach          m
+/// returns                  [N H W] in [0, 1]
+/// throws                   ShapeError
+template <class T>
+BasicTensor<T> probability_within(const BasicTensor<T>& probability,
+                                  const BasicTensor<T>& hypotheses, const BasicTensor<T>& height,
+                                  double interval, double reach);
+
 }  // namespace satsurf::nn

@@ -10,6 +10,7 @@
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/cost_volume.h"
+#include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/ops/softmax.h"
 
@@ -82,6 +83,7 @@ Rotation rotation_of(const ModelConfig& config) {
 
 template <class T>
 BasicTensor<T> effective_confidence(const ModelConfig& config, const StageOutput<T>& stage) {
+  if (config.confidence == "joint") return stage.within;
   if (config.confidence == "raw") return stage.confidence.value();
   const T floor = T(1) / static_cast<T>(stage.choices);
   BasicTensor<T> out = stage.confidence.value().clone();
@@ -292,6 +294,29 @@ class BasicModel<T>::Parts::Pass {
     stage.probability = distribution.probability;
     stage.height = distribution.height;
     stage.confidence = distribution.confidence;
+    if (config_.confidence == "joint") chain(s);
+  }
+
+  /// A sharp peak says little where the stage before looked in the wrong place: the probabilities
+  /// of all stages multiply.
+  void chain(std::size_t s) {
+    StageOutput<T>& stage = out_[s];
+    const auto within = [&](double reach) {
+      return probability_within(stage.probability.value(), stage.hypotheses, stage.height.value(),
+                                stage.interval, reach);
+    };
+    const NoGrad no_grad;
+    BasicVar<T> before;  // probability that the surface is in this stage's band
+    if (s > 0) before = resize_bilinear(BasicVar<T>(in_band_), height(s), width(s));
+    const auto joint = [&](const BasicTensor<T>& own) {
+      return s == 0 ? own : (BasicVar<T>(own) * before).value();
+    };
+    stage.within = joint(within(stage.interval));
+    std::size_t next = s + 1;
+    while (next < 3 && config_.hypotheses[next] == 0) ++next;
+    if (next < 3)
+      in_band_ =
+          joint(within(0.5 * static_cast<double>(config_.hypotheses[next]) * intervals_[next]));
   }
 
   void interpolate(std::size_t s) {
@@ -299,6 +324,9 @@ class BasicModel<T>::Parts::Pass {
     out_[s].height = resize_bilinear(previous.height, height(s), width(s));
     out_[s].confidence = resize_bilinear(previous.confidence, height(s), width(s));
     out_[s].choices = previous.choices;
+    if (previous.within.empty()) return;
+    const NoGrad no_grad;
+    out_[s].within = resize_bilinear(BasicVar<T>(previous.within), height(s), width(s)).value();
   }
 
   /// What the surface of the stage before, rendered into the source views, tells this one; empty
@@ -347,7 +375,8 @@ class BasicModel<T>::Parts::Pass {
     std::vector<PixelGeometry> geometry;
     for (const View& v : scene_.sources) geometry.push_back(pixel_geometry(v, z_mid, stage.stride));
     const BasicVar<T> all = concat(std::exchange(raw, {}), 0);
-    stage.surfels = surfels_from_maps(all, stage.height, image.value(), stage.confidence, geometry,
+    stage.surfels = surfels_from_maps(all, stage.height, image.value(),
+                                      BasicVar<T>(effective_confidence(config_, stage)), geometry,
                                       rotation_of(config_));
     if (s > 0 && config_.keep == "all") stage.surfels = joined(stage.surfels, out_[s - 1].surfels);
   }
@@ -370,6 +399,7 @@ class BasicModel<T>::Parts::Pass {
   const std::array<double, 3> intervals_;
   std::array<BasicVar<T>, 3> pyramid_, taps_;  ///< taps: relative heights, features of stages 2, 3
   BasicVar<T> images_, valid_;
+  BasicTensor<T> in_band_;  ///< [N h w] that the surface is where the next stage searches
   std::array<StageOutput<T>, 3> out_;
 };
 

@@ -26,16 +26,24 @@ struct StageOutput {
   BasicVar<T> height;         ///< [N h w] expected height H_s, m in the local frame
   BasicVar<T> confidence;     ///< [N h w] max probability C_s
   Index choices = 0;          ///< hypotheses behind the confidence: D, or those of the stage before
+  /// [N h w] probability that the surface lies within an interval of H_s, given all stages so far:
+  /// that it does by this stage's distribution, times that each stage before has of the band the
+  /// next one searches. Empty unless the configuration's confidence is `joint`.
+  BasicTensor<T> within;
   /// N*h*w pixel-aligned surfels, and behind them those of the stages before if the configuration
-  /// keeps all; aux channel 0 is the confidence.
+  /// keeps all; aux channel 0 is the effective confidence.
   splat::BasicSurfels<T> surfels;
   BasicTensor<T> mono_height;  ///< [N h w] of the monocular branch, relative; empty without one
 };
 
 inline constexpr const char* kMonoPrefix = "mono.";
 
-/// A stage's confidence as fusion and loss routing read it: C itself, or with the floor taken off
-/// that equal probabilities have, (C - 1/D) / (1 - 1/D).
+/// A stage's confidence as everything but the surfel head reads it, by `ModelConfig::confidence`:
+///   raw    C_s = max P_s as published. Says how sharp a peak is within what the stage searches: it
+///          is high, too, where the surface lies beyond and the nearest hypothesis takes it all.
+///   floor  the same with the floor taken off that equal probabilities have, (C - 1/D) / (1 - 1/D)
+///   joint  `within` of the stage
+/// returns  [N h w] in [0, 1]
 template <class T>
 BasicTensor<T> effective_confidence(const ModelConfig& config, const StageOutput<T>& stage);
 

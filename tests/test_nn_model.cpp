@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/adamw.h"
+#include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/loss.h"
@@ -280,6 +281,49 @@ TEST_CASE("every parameter receives a gradient") {
   }
 }
 
+TEST_CASE("a confidence that knows what the stages before missed") {
+  const auto scene = hill();
+  const NoGrad no_grad;
+  nn::ModelConfig config = nn::model_preset("tiny");
+  const auto stages = nn::BasicModel<double>(config, 1).forward(scene);
+  BasicTensor<double> in_band;
+  for (std::size_t s = 0; s < 3; ++s) {
+    CAPTURE(s);
+    const auto& stage = stages[s];
+    const auto near = [&](double reach) {
+      return nn::probability_within(stage.probability.value(), stage.hypotheses,
+                                    stage.height.value(), stage.interval, reach);
+    };
+    const BasicTensor<double> own = near(stage.interval);
+    const Index side = 32 / stage.stride;
+    const auto before = s == 0 ? BasicTensor<double>()
+                               : resize_bilinear(BasicVar<double>(in_band), side, side).value();
+    REQUIRE(stage.within.shape() == own.shape());
+    for (Index i = 0; i < own.count(); ++i) {
+      REQUIRE(stage.within[i] == doctest::Approx(s == 0 ? own[i] : own[i] * before[i]));
+      REQUIRE(stage.within[i] > 0);
+      REQUIRE(stage.within[i] <= 1);
+      REQUIRE(nn::effective_confidence(config, stage)[i] == stage.within[i]);
+    }
+    if (s == 2) break;
+    // stage 2 searches 8 hypotheses of its own interval, stage 3 has 4
+    const double half = s == 0 ? 4 * stages[1].interval : 2 * stages[2].interval;
+    in_band = near(half);
+    if (s > 0)
+      for (Index i = 0; i < in_band.count(); ++i) in_band[i] *= before[i];
+  }
+  config.confidence = "raw";
+  const auto raw = nn::BasicModel<double>(config, 1).forward(scene);
+  config.confidence = "floor";
+  const auto floor = nn::BasicModel<double>(config, 1).forward(scene);
+  CHECK(raw[2].within.empty());
+  for (Index i = 0; i < raw[2].confidence.value().count(); ++i) {
+    const double c = stages[2].confidence.value()[i];
+    REQUIRE(raw[2].surfels.aux.value()[i] == c);
+    REQUIRE(floor[2].surfels.aux.value()[i] == doctest::Approx((c - 0.25) / 0.75));
+  }
+}
+
 TEST_CASE("stages that do not search interpolate, and surfels of all stages can be kept") {
   const auto scene = hill();
   const NoGrad no_grad;
@@ -299,7 +343,7 @@ TEST_CASE("stages that do not search interpolate, and surfels of all stages can 
   CHECK(stages[2].surfels.means.dim(0) == 3 * (8 * 8 + 16 * 16 + 32 * 32));
   // a stage's own come first
   for (Index i = 0; i < 3 * 16 * 16; ++i)
-    CHECK(stages[1].surfels.aux.value()[i] == stages[1].confidence.value()[i]);
+    CHECK(stages[1].surfels.aux.value()[i] == stages[1].within[i]);
   config.hypotheses = {0, 8, 4};
   CHECK_THROWS_AS(nn::BasicModel<double>(config, 1), ConfigError);
   for (const char* preset : {"mvsplat_like", "hisplat_like", "skysplat_like", "paper"}) {

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/blocks.h"
 #include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "tests/affine_scene.h"
@@ -42,6 +44,45 @@ TEST_CASE("parameters are stored and loaded by name, and refused with a list") {
                        "([2,2], expected [4]); "
                        "not in the model extra",
                        IoError);
+}
+
+TEST_CASE("the probability near a height") {
+  // hypotheses at 10, 12, 14, 16 m, each for the 2 m around it
+  const auto hypotheses = Tensor::from({1, 4, 1, 2}, {10, 10, 12, 12, 14, 14, 16, 16});
+  const auto probability = Tensor::from({1, 4, 1, 2}, {0.1f, 0, 0.2f, 0, 0.4f, 0, 0.3f, 1});
+  const auto height = Tensor::from({1, 1, 2}, {14, 16});
+  const auto near = [&](double reach) {
+    return nn::probability_within(probability, hypotheses, height, 2, reach);
+  };
+  CHECK(near(1)[0] == doctest::Approx(0.4));
+  CHECK(near(2)[0] == doctest::Approx(0.4 + 0.5 * (0.2 + 0.3)));  // half of both neighbours
+  CHECK(near(3)[0] == doctest::Approx(0.9));
+  CHECK(near(100)[0] == doctest::Approx(1));
+  CHECK(near(1)[1] == 1);
+  CHECK_THROWS_AS(nn::probability_within(probability, hypotheses, probability, 2, 1), ShapeError);
+
+  // a slow one, over several maps and threads
+  Rng rng(3);
+  const auto p = uniform_tensor<double>({2, 5, 71, 67}, rng, 0.0, 0.2),
+             z = uniform_tensor<double>({2, 71, 67}, rng, -3.0, 3.0);
+  BasicTensor<double> h(p.shape());
+  for (Index i = 0; i < h.count(); ++i) h[i] = -2.0 + static_cast<double>(i / (71 * 67) % 5);
+  for (const int threads : {1, 2}) {
+    set_threads(threads);
+    const auto out = nn::probability_within(p, h, z, 1, 1.25);
+    for (Index i = 0; i < z.count(); ++i) {
+      double sum = 0;
+      for (Index d = 0; d < 5; ++d) {
+        const Index at = (i / (71 * 67) * 5 + d) * 71 * 67 + i % (71 * 67);
+        // overlap of the hypothesis' interval with z +- 1.25
+        const double low = std::max(h[at] - 0.5, z[i] - 1.25),
+                     high = std::min(h[at] + 0.5, z[i] + 1.25);
+        sum += p[at] * std::max(0.0, high - low);
+      }
+      REQUIRE(out[i] == doctest::Approx(sum));
+    }
+  }
+  set_threads(0);
 }
 
 TEST_CASE("AdamW follows the published recurrence") {

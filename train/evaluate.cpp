@@ -80,6 +80,7 @@ void score_views(const nn::Model& model, const Scene& scene, const EvaluateOptio
       has_target ? std::optional<Index>(static_cast<Index>(sources.size())) : std::nullopt, x, y,
       middle_height(scene), side, scene.z_low, scene.z_high, true);
   const auto stages = model.forward(crop.input);
+  const Tensor sure = nn::effective_confidence(model.config(), stages[2]);
   std::vector<Tensor> found, known;
   double rmse = 0, scored = 0;
   for (std::size_t i = 0; i < sources.size(); ++i) {
@@ -90,7 +91,7 @@ void score_views(const nn::Model& model, const Scene& scene, const EvaluateOptio
     const double of_view = score_heights(found[i], known[i]).rmse;
     if (std::isfinite(of_view)) rmse += of_view, scored += 1;
     if (confidence != nullptr)
-      confidence->mvs_source.add(stages[2].confidence.value().slice0(static_cast<Index>(i)),
+      confidence->mvs_source.add(sure.slice0(static_cast<Index>(i)),
                                  difference(found[i], known[i]));
   }
   out.mvs_source = score_heights(stacked(found), stacked(known));

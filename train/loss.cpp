@@ -78,13 +78,10 @@ struct StageLoss {
   const Crop& crop;
   const LossContext& context;
 
-  Index hypotheses() const { return stage.choices; }
-
   RoutingMasks route(const Tensor& confidence, const Tensor& valid) const {
-    return route_losses(confidence, valid, hypotheses(),
+    return route_losses(confidence, valid,
                         {.routing = config.routing == "cbrl" ? Routing::cbrl : Routing::none,
                          .threshold = config.routing_tau,
-                         .floor_normalised = model.confidence == "floor",
                          .warmup = context.step < config.appearance_warmup});
   }
 
@@ -100,7 +97,7 @@ struct StageLoss {
       options.grids.push_back({patch, rng.below(patch), rng.below(patch)});
     }
     const PatchPearson<float> loss = patch_pearson(stage.height, target, known, options);
-    Tensor mask = route(stage.confidence.value(), known).geometry;
+    Tensor mask = route(nn::effective_confidence(model, stage), known).geometry;
     for (Index i = 0; i < mask.count(); ++i) mask[i] *= loss.defined[i];
     return masked_mean(affine(loss.local + loss.global, 0.5f, 0.f), mask, known);
   }

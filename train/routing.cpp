@@ -12,20 +12,15 @@ constexpr Index kGrain = 1 << 15;
 
 }  // namespace
 
-RoutingMasks route_losses(const Tensor& confidence, const Tensor& valid, Index hypotheses,
+RoutingMasks route_losses(const Tensor& confidence, const Tensor& valid,
                           const RoutingOptions& options) {
   if (!valid.empty() && valid.shape() != confidence.shape())
     throw ShapeError("route_losses: valid has shape " + valid.shape().str() + ", expected " +
                      confidence.shape().str() + " from confidence");
-  if (hypotheses < 2)
-    throw ConfigError("route_losses: " + std::to_string(hypotheses) +
-                      " hypotheses came, expected at least 2");
   if (!(options.threshold >= 0 && options.threshold <= 1))
     throw ConfigError("route_losses: threshold is " + std::to_string(options.threshold) +
                       ", expected 0 to 1");
-  // (C - floor) / (1 - floor) > threshold, solved for C
-  const double floor = options.floor_normalised ? 1 / static_cast<double>(hypotheses) : 0;
-  const auto least = static_cast<float>(floor + options.threshold * (1 - floor));
+  const auto least = static_cast<float>(options.threshold);
   const bool all = options.routing == Routing::none;
 
   RoutingMasks masks{Tensor::uninitialised(confidence.shape()),
