@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/safetensors.h"
+#include "satsurf/mesh/surface.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/train/evaluate.h"
 #include "satsurf/train/simulate/scene.h"
+#include "satsurf/train/surface_view.h"
 
 #include <algorithm>
 #include <cmath>
@@ -109,7 +111,7 @@ TEST_CASE("scores of a data set") {
   const auto rows = lines_of(csv);
   REQUIRE(rows.size() == 4);
   const std::vector<std::string> names = cells_of(rows[0]);
-  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 6);
+  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 2 * 6 + 6);
   for (const std::string& row : rows) CHECK(cells_of(row).size() == names.size());
   REQUIRE(j["mean"].size() == names.size() - 1);
   Index column = 1;
@@ -193,6 +195,45 @@ TEST_CASE("seen_by_two: only ground inside two images counts") {
   for (const float v : one.values()) REQUIRE(v == 0);
 }
 
+TEST_CASE("what cameras see of the true surface, and of a part of it") {
+  const Folder folder;
+  const Scene scene = small_scene(folder.path);
+  const SceneView& view = scene.views[1];
+  mesh::HeightView seen = true_view(*scene.truth, view, scene);
+  const HeightField& field = *scene.truth;
+  Index known = 0, below = 0;
+  for (Index y = 0; y < 64; ++y)
+    for (Index x = 0; x < 64; ++x) {
+      const double z = static_cast<double>(seen.height[y * 64 + x]);
+      if (!std::isfinite(z)) continue;
+      known += 1;
+      const auto p = seen.local_from_pixel(static_cast<double>(x), static_cast<double>(y), z);
+      const auto q = seen.pixel_from_local(p[0], p[1], z);
+      REQUIRE(std::hypot(q[0] - static_cast<double>(x), q[1] - static_cast<double>(y)) < 0.05);
+      const auto i = static_cast<Index>((field.y0 - p[1]) / field.step),
+                 j = static_cast<Index>((p[0] - field.x0) / field.step);
+      below += static_cast<double>(field.z[i * field.z.dim(1) + j]) < z - 0.01;  // hit a wall
+    }
+  CHECK(known > 2000);
+  CHECK(below < known / 4);
+  Tensor west(field.z.shape());
+  for (Index i = 0; i < west.count(); ++i)
+    west[i] = i % field.z.dim(1) < field.z.dim(1) / 2 ? 1.f : 0.f;
+  const Tensor all = seen.height.clone();
+  keep_inside(seen, field, west);
+  Index kept = 0;
+  for (Index i = 0; i < all.count(); ++i) {
+    if (!std::isfinite(all[i])) continue;
+    const auto p = seen.local_from_pixel(static_cast<double>(i % 64), static_cast<double>(i / 64),
+                                         static_cast<double>(all[i]));
+    const bool inside = p[0] < field.x0 + field.step * static_cast<double>(field.z.dim(1) / 2);
+    REQUIRE(std::isfinite(seen.height[i]) == inside);
+    kept += inside;
+  }
+  CHECK(kept > known / 4);
+  CHECK(kept < known * 3 / 4);
+}
+
 TEST_CASE("a scene's scores") {
   const Folder folder;
   const Scene scene = small_scene(folder.path);
@@ -235,7 +276,21 @@ TEST_CASE("a scene's scores") {
   CHECK(std::isfinite(s.target.ssim));
   CHECK(s.target.ssim_conv < 1);
   CHECK(s.target.lpips.value() > 0);
+  REQUIRE(s.mesh);
+  CHECK(s.mesh->all.chamfer > 0);
+  CHECK(s.mesh->all.chamfer < 20);
+  CHECK(s.mesh->without_walls.mesh_samples < s.mesh->all.mesh_samples);
+  // a surface meets the same one with better scores than a network that has learned nothing
+  {
+    std::vector<mesh::HeightView> truth;
+    for (const SceneView& view : scene.views) truth.push_back(true_view(*scene.truth, view, scene));
+    const mesh::Mesh surface = mesh::mesh_from_views(truth, {.voxel = 1});
+    CHECK(mesh::compare_meshes(surface, surface).all.chamfer < 0.1 * s.mesh->all.chamfer);
+  }
   const auto j = scores_json(all);
+  CHECK(j["mean"]["mesh_chamfer"] == s.mesh->all.chamfer);
+  CHECK(j["mean"]["mesh_without_walls_f1_2.5"] == s.mesh->without_walls.f[2].f1);
+  CHECK(j["scenes"][0]["mesh"]["recall"]["1"] == s.mesh->all.f[1].recall);
   CHECK(j["lpips_backbone"] == "alex");
   CHECK(j["mean"]["render_target_lpips"] == *s.target.lpips);
   for (const char* of : {"mvs_source", "dsm"}) {

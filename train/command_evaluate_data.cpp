@@ -72,6 +72,18 @@ void print_mean(const nlohmann::ordered_json& mean, const std::string& registrat
     std::printf("%-16s%s\n", title, row(group).c_str());
 }
 
+/// mean  as above
+void print_meshes(const nlohmann::ordered_json& mean) {
+  for (const auto& [title, group] : {std::pair<const char*, std::string>{"mesh", "mesh"},
+                                     {"mesh, no walls", "mesh_without_walls"}}) {
+    if (mean[group + "_chamfer"].is_null()) return;
+    std::printf("%-16s chamfer %.3f m, F1 %.3f within 0.5 m, %.3f within 1 m, %.3f within 2.5 m\n",
+                title, mean[group + "_chamfer"].get<double>(),
+                mean[group + "_f1_0.5"].get<double>(), mean[group + "_f1_1"].get<double>(),
+                mean[group + "_f1_2.5"].get<double>());
+  }
+}
+
 /// How the error depends on the confidence, in a line.
 void print_confidence(const char* title, const ConfidenceErrors& errors) {
   const std::vector<ConfidenceBin> bins = errors.equal_count();
@@ -100,6 +112,7 @@ void run_evaluate_data(const EvaluateDataOptions& options) {
   how.views = options.views;
   how.registration = registration_from(options.registration);
   how.mask_water = options.mask_water;
+  how.meshes = options.meshes;
   how.lpips = lpips ? &*lpips : nullptr;
   how.progress = [&](const std::string& stage, double fraction) {
     if (interrupted()) throw Interrupted{};
@@ -110,7 +123,8 @@ void run_evaluate_data(const EvaluateDataOptions& options) {
                         {"lpips_weights", options.lpips_weights},
                         {"views", options.views},
                         {"register", options.registration},
-                        {"mask_water", options.mask_water}};
+                        {"mask_water", options.mask_water},
+                        {"meshes", options.meshes}};
   RunRecord record("evaluate", config, 0);
   const DataScores scores = evaluate_data(model, options.data, how);
   const nlohmann::ordered_json table = scores_json(scores);
@@ -130,6 +144,7 @@ void run_evaluate_data(const EvaluateDataOptions& options) {
 
   print_scenes(scores.scenes);
   print_mean(table["mean"], options.registration);
+  print_meshes(table["mean"]);
   if (lpips)
     std::printf("LPIPS by %s\n", nn::lpips_backbone_name(lpips->backbone()));
   else

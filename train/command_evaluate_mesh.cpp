@@ -4,11 +4,11 @@
 #include "satsurf/mesh/compare.h"
 #include "satsurf/mesh/ply.h"
 #include "satsurf/train/commands.h"
+#include "satsurf/train/evaluate.h"
 #include "satsurf/train/output_folder.h"
 #include "satsurf/train/record.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstdio>
 #include <optional>
 
@@ -36,30 +36,6 @@ void shift(mesh::Mesh& mesh, const rpc::LocalFrame& from, const rpc::LocalFrame&
   for (auto& v : mesh.vertices)
     for (std::size_t a = 0; a < 3; ++a)
       v[a] = static_cast<float>(static_cast<double>(v[a]) + by[a]);
-}
-
-/// JSON has no NaN.
-nlohmann::ordered_json number(double v) {
-  return std::isfinite(v) ? nlohmann::ordered_json(v) : nlohmann::ordered_json(nullptr);
-}
-
-nlohmann::ordered_json scores_json(const mesh::SurfaceScores& s) {
-  nlohmann::ordered_json j{{"chamfer", number(s.chamfer)},
-                           {"mesh_to_reference", number(s.to_reference)},
-                           {"reference_to_mesh", number(s.to_mesh)},
-                           {"f1", nlohmann::ordered_json::object()},
-                           {"precision", nlohmann::ordered_json::object()},
-                           {"recall", nlohmann::ordered_json::object()},
-                           {"mesh_samples", s.mesh_samples},
-                           {"reference_samples", s.reference_samples}};
-  for (const mesh::FScore& f : s.f) {
-    char key[16];
-    std::snprintf(key, sizeof key, "%g", f.threshold);
-    j["f1"][key] = number(f.f1);
-    j["precision"][key] = number(f.precision);
-    j["recall"][key] = number(f.recall);
-  }
-  return j;
 }
 
 void print_scores(const char* title, const mesh::SurfaceScores& s) {
@@ -95,8 +71,7 @@ void run_evaluate_mesh(const EvaluateMeshOptions& options) {
   }
   if (!options.json.empty()) {
     for (const fs::path& file : inputs) record.add_input(file);
-    nlohmann::ordered_json j = scores_json(c.all);
-    j["without_walls"] = scores_json(c.without_walls);
+    nlohmann::ordered_json j = scores_json(c);
     nlohmann::ordered_json run = record.json();
     run.erase("results");  // they are at the top
     j.update(run);

@@ -14,6 +14,7 @@
 #include "satsurf/train/progress.h"
 #include "satsurf/train/reconstruct.h"
 #include "satsurf/train/record.h"
+#include "satsurf/train/surface_view.h"
 #include "satsurf/train/views.h"
 
 #include <algorithm>
@@ -32,24 +33,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-constexpr double kMargin = 1;      // m; a flat surface still needs a span to fit a camera over
 constexpr double kWorstFit = 0.1;  // px, of a camera by its quadratics; more shows in the heights
-
-/// Camera of a whole image in the frame of the surfels, over the heights they have.
-Quadratic camera_of(const rpc::Rpc& rpc, const rpc::LocalFrame& frame, Index width, Index height,
-                    double z_low, double z_high) {
-  const rpc::Window window{0, 0, static_cast<double>(width), static_cast<double>(height)};
-  return rpc::fit_projection(rpc, frame, window,
-                             {frame.h0 + z_low - kMargin, frame.h0 + z_high + kMargin});
-}
-
-/// The inverse of `camera_of` at a height.
-Quadratic localisation_of(const rpc::Rpc& rpc, const rpc::LocalFrame& frame, Index width,
-                          Index height, const Scene& scene) {
-  const rpc::Window window{0, 0, static_cast<double>(width), static_cast<double>(height)};
-  return rpc::fit_localisation(
-      rpc, frame, window, {frame.h0 + scene.z_low - kMargin, frame.h0 + scene.z_high + kMargin});
-}
 
 /// Smallest and largest element of one column of [P 3].
 std::pair<double, double> column_range(const Tensor& means, Index column) {
@@ -129,19 +113,9 @@ RenderedViews render_views(const Reconstruction& made, const Scene& scene, bool 
     progress.update("render", static_cast<double>(i) / static_cast<double>(scene.views.size()));
     if (interrupted()) throw Interrupted{};
     const SceneView& view = scene.views[i];
-    const Index H = view.rgb.dim(1), W = view.rgb.dim(2);
-    const Quadratic camera = camera_of(view.rpc, scene.frame, W, H, scene.z_low, scene.z_high);
-    const auto render = nn::render_view(made.surfels, camera, H, W, 1);
-    out.colours.push_back(render.colour.value());
-    if (!heights) continue;
-    // confidence by what stops the light there: thin surfaces are doubtful ones
-    mesh::HeightView seen{surface_heights(render), render.aux.value().reshaped({H, W}),
-                          view.rgb.clone(), camera,
-                          localisation_of(view.rpc, scene.frame, W, H, scene)};
-    for (Index p = 0; p < H * W; ++p)
-      for (Index c = 0; c < 3; ++c)
-        if (!(view.valid[p] > 0)) seen.rgb[c * H * W + p] = kNan;
-    out.heights.push_back(std::move(seen));
+    SurfaceView seen = rendered_view(made.surfels, view, scene);
+    out.colours.push_back(std::move(seen.colour));
+    if (heights) out.heights.push_back(std::move(seen.heights));
   }
   progress.update("render", 1);
   return out;
@@ -411,8 +385,9 @@ void run_render(const RenderCommand& options) {
   if (image) {
     check_cells(options.image.string() + ": ", image->width, image->height, "");
     const auto render = nn::render_view(
-        content.surfels, camera_of(*image->rpc, frame, image->width, image->height, z_low, z_high),
-        image->height, image->width, 1);
+        content.surfels,
+        image_camera(*image->rpc, frame, image->width, image->height, z_low, z_high), image->height,
+        image->width, 1);
     const auto alpha = render.alpha.value().values();
     if (std::none_of(alpha.begin(), alpha.end(), [](float a) { return a > 0.05f; }))
       throw Error("render: " + options.image.string() + " sees nothing of " +

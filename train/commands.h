@@ -89,7 +89,7 @@ struct EvaluateDataOptions {
   std::filesystem::path data, weights, json, csv, lpips_weights, confidence_csv, confidence_figure;
   std::string registration = "none";
   Index views = 3;
-  bool mask_water = true, overwrite = false;
+  bool mask_water = true, meshes = true, overwrite = false;
 };
 /// Scores a network on a data set.
 void run_evaluate_data(const EvaluateDataOptions& options);

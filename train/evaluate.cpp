@@ -3,8 +3,10 @@
 
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/var.h"
+#include "satsurf/mesh/surface.h"
 #include "satsurf/train/fill.h"
 #include "satsurf/train/reconstruct.h"
+#include "satsurf/train/surface_view.h"
 
 #include <algorithm>
 #include <chrono>
@@ -55,6 +57,36 @@ void score_dsm(const Reconstruction& made, const HeightField& truth, const Tenso
   const HeightField sure{made.confidence, made.dsm.x0 + out.dsm.shift[0],
                          made.dsm.y0 + out.dsm.shift[1], made.dsm.step};
   confidence->dsm.add(resample(sure, truth), out.dsm.error);
+}
+
+/// The surface against the true one, as meshes. Nothing where one of them has none.
+std::optional<mesh::MeshComparison> score_meshes(const Reconstruction& made, const Scene& scene,
+                                                 const Tensor& mask,
+                                                 const std::array<double, 3>& shift) {
+  std::vector<mesh::HeightView> found, known;
+  for (const SceneView& view : scene.views) {
+    found.push_back(rendered_view(made.surfels, view, scene).heights);
+    known.push_back(true_view(*scene.truth, view, scene));
+    for (mesh::HeightView* v : {&found.back(), &known.back()}) keep_inside(*v, *scene.truth, mask);
+    found.back().rgb = {};
+  }
+  const auto mesh_of =
+      [&](const std::vector<mesh::HeightView>& views) -> std::optional<mesh::Mesh> {
+    const bool any = std::any_of(views.begin(), views.end(), [](const mesh::HeightView& v) {
+      return std::any_of(v.height.values().begin(), v.height.values().end(),
+                         [](float z) { return std::isfinite(z); });
+    });
+    mesh::FusionOptions how;
+    how.voxel = made.voxel;
+    return any ? std::optional(mesh::mesh_from_views(views, how)) : std::nullopt;
+  };
+  auto surface = mesh_of(found);
+  const auto truth = mesh_of(known);
+  if (!surface || !truth) return std::nullopt;
+  for (auto& v : surface->vertices)
+    for (std::size_t a = 0; a < 3; ++a)
+      v[a] = static_cast<float>(static_cast<double>(v[a]) + shift[a]);
+  return mesh::compare_meshes(*surface, *truth);
 }
 
 /// Heights and colours in the source views and the rendered target, in a window around the middle
@@ -178,6 +210,7 @@ SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
   const auto start = std::chrono::steady_clock::now();
   ReconstructOptions how;
   how.resolution = scene.truth->step;
+  if (options.meshes) how.mesh = 0;
   how.progress = options.progress;
   const Reconstruction made = reconstruct(model, seen, how);
   out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
@@ -189,6 +222,7 @@ SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
     for (Index i = 0; i < mask.count(); ++i) mask[i] *= dry[i];
   }
   score_dsm(made, *scene.truth, mask, options.registration, out, confidence);
+  if (options.meshes) out.mesh = score_meshes(made, scene, mask, out.dsm.shift);
   out.render_target = score_heights(Tensor({1, 1}, kNan), Tensor({1, 1}, kNan));  // none so far
   out.target.psnr = out.target.ssim = out.target.ssim_conv = std::nan("");
   score_views(model, scene, options, sources, out, confidence);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/mesh/compare.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/train/confidence.h"
@@ -21,6 +22,8 @@ namespace satsurf::train {
 
 /// The scores by name; null for a number that does not exist.
 nlohmann::ordered_json scores_json(const HeightScores& scores);
+/// Of whole surfaces, and under `without_walls` of their parts that are none.
+nlohmann::ordered_json scores_json(const mesh::MeshComparison& comparison);
 /// Scores before and after registration, and the shift.
 nlohmann::ordered_json scores_json(const DsmComparison& comparison);
 
@@ -58,6 +61,7 @@ struct EvaluateOptions {
   Index window = 512;  ///< side of the window in which heights in views are scored, px at most
   Registration registration = Registration::none;
   bool mask_water = true;            ///< leave out cells of class 9
+  bool meshes = true;                ///< also compare meshes, which takes a few seconds per scene
   const nn::Lpips* lpips = nullptr;  ///< scores rendered targets too, if given
   std::function<void(const std::string& stage, double fraction)> progress;  ///< may be empty
 };
@@ -79,6 +83,9 @@ struct SceneScores {
   double mvs_source_rmse_per_view = 0;  ///< the same RMSE view by view, then averaged, m
   HeightScores render_target;           ///< heights rendered in the target view
   ImageScores target;  ///< colours rendered there, where they are opaque and the image is valid
+  /// Meshes fused of the heights that the surfels show, and that the true surface does, in all
+  /// views of the scene, registered as asked; both above the cells that the DSM is scored on.
+  std::optional<mesh::MeshComparison> mesh;
   double seconds = 0;  ///< of the reconstruction, without reading files
 };
 
@@ -120,7 +127,8 @@ nlohmann::ordered_json scores_json(const DataScores& scores);
 ///   dsm, mvs_source, render_target       as in SceneScores
 ///   dsm_none, dsm_z, dsm_xyz             the DSM by each registration; then also _east, _north, _up
 ///   dsm_filled_none, .._z, .._xyz        the same with holes filled
-/// then mvs_source_rmse_per_view, render_target_psnr, _ssim, _ssim_conv, _lpips, and seconds.
+/// then mesh_chamfer, mesh_to_reference, mesh_reference_to_mesh (m), mesh_f1_0.5, _f1_1, _f1_2.5,
+/// the same as mesh_without_walls_*, mvs_source_rmse_per_view, render_target_psnr, _ssim, _ssim_conv, _lpips, and seconds.
 std::string scores_csv(const std::vector<SceneScores>& scores);
 
 }  // namespace satsurf::train

@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <limits>
 #include <utility>
 
 namespace satsurf::train {
@@ -29,6 +30,23 @@ void add_heights(Row& row, const std::string& group, const HeightScores& s) {
     row.push_back({group + name, value});
 }
 
+mesh::SurfaceScores none_compared() {
+  constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+  mesh::SurfaceScores out{.chamfer = kNone, .to_reference = kNone, .to_mesh = kNone, .f = {}};
+  for (mesh::FScore& f : out.f) f.precision = f.recall = f.f1 = kNone;
+  return out;
+}
+
+void add_mesh(Row& row, const std::string& group, const mesh::SurfaceScores& s) {
+  row.push_back({group + "_chamfer", s.chamfer});
+  row.push_back({group + "_to_reference", s.to_reference});
+  row.push_back({group + "_reference_to_mesh", s.to_mesh});
+  for (const auto& [name, f] : {std::pair<const char*, const mesh::FScore&>{"_f1_0.5", s.f[0]},
+                                {"_f1_1", s.f[1]},
+                                {"_f1_2.5", s.f[2]}})
+    row.push_back({group + name, f.f1});
+}
+
 /// Names and values of the numbers that go into tables.
 Row row_of(const SceneScores& s) {
   Row row;
@@ -44,6 +62,8 @@ Row row_of(const SceneScores& s) {
   }
   for (std::size_t k = 0; k < kRegistrations.size(); ++k)
     add_heights(row, std::string("dsm_filled_") + kRegistrations[k], s.registered[k].filled);
+  add_mesh(row, "mesh", s.mesh ? s.mesh->all : none_compared());
+  add_mesh(row, "mesh_without_walls", s.mesh ? s.mesh->without_walls : none_compared());
   row.push_back({"mvs_source_rmse_per_view", s.mvs_source_rmse_per_view});
   row.push_back({"render_target_psnr", s.target.psnr});
   row.push_back({"render_target_ssim", s.target.ssim});
@@ -103,6 +123,30 @@ nlohmann::ordered_json scores_json(const HeightScores& s) {
           {"pag7.5_compared", number(s.pag7_5_compared)}};
 }
 
+nlohmann::ordered_json scores_json(const mesh::MeshComparison& c) {
+  const auto of = [](const mesh::SurfaceScores& s) {
+    nlohmann::ordered_json j{{"chamfer", number(s.chamfer)},
+                             {"mesh_to_reference", number(s.to_reference)},
+                             {"reference_to_mesh", number(s.to_mesh)},
+                             {"f1", nlohmann::ordered_json::object()},
+                             {"precision", nlohmann::ordered_json::object()},
+                             {"recall", nlohmann::ordered_json::object()},
+                             {"mesh_samples", s.mesh_samples},
+                             {"reference_samples", s.reference_samples}};
+    for (const mesh::FScore& f : s.f) {
+      char key[16];
+      std::snprintf(key, sizeof key, "%g", f.threshold);
+      j["f1"][key] = number(f.f1);
+      j["precision"][key] = number(f.precision);
+      j["recall"][key] = number(f.recall);
+    }
+    return j;
+  };
+  nlohmann::ordered_json j = of(c.all);
+  j["without_walls"] = of(c.without_walls);
+  return j;
+}
+
 nlohmann::ordered_json scores_json(const DsmComparison& c) {
   return {
       {"raw", scores_json(c.raw)}, {"registered", scores_json(c.registered)}, {"shift_m", c.shift}};
@@ -113,17 +157,19 @@ nlohmann::ordered_json scores_json(const std::vector<SceneScores>& scores) {
                              {"mean", nlohmann::ordered_json::object()},
                              {"lpips_backbone", nullptr}};
   for (const SceneScores& s : scores) {
-    out["scenes"].push_back({{"name", s.name},
-                             {"dsm", scores_json(s.dsm)},
-                             {"dsm_by_registration", by_registration(s)},
-                             {"mvs_source", scores_json(s.mvs_source)},
-                             {"mvs_source_rmse_per_view", number(s.mvs_source_rmse_per_view)},
-                             {"render_target", scores_json(s.render_target)},
-                             {"render_target_psnr", number(s.target.psnr)},
-                             {"render_target_ssim", number(s.target.ssim)},
-                             {"render_target_ssim_conv", number(s.target.ssim_conv)},
-                             {"render_target_lpips", number(s.target.lpips.value_or(std::nan("")))},
-                             {"seconds", s.seconds}});
+    out["scenes"].push_back(
+        {{"name", s.name},
+         {"dsm", scores_json(s.dsm)},
+         {"dsm_by_registration", by_registration(s)},
+         {"mvs_source", scores_json(s.mvs_source)},
+         {"mvs_source_rmse_per_view", number(s.mvs_source_rmse_per_view)},
+         {"render_target", scores_json(s.render_target)},
+         {"mesh", s.mesh ? scores_json(*s.mesh) : nlohmann::ordered_json(nullptr)},
+         {"render_target_psnr", number(s.target.psnr)},
+         {"render_target_ssim", number(s.target.ssim)},
+         {"render_target_ssim_conv", number(s.target.ssim_conv)},
+         {"render_target_lpips", number(s.target.lpips.value_or(std::nan("")))},
+         {"seconds", s.seconds}});
     if (!s.target.lpips_backbone.empty()) out["lpips_backbone"] = s.target.lpips_backbone;
   }
   for (const auto& [name, value] : mean_of(scores)) out["mean"][name] = number(value);

@@ -288,7 +288,7 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
   static EvaluateDataOptions s;
   static EvaluateImageOptions p;
   static EvaluateMeshOptions m;
-  static bool keep_water = false;
+  static bool keep_water = false, no_meshes = false;
   CLI::App* c = add_command(app, common, "evaluate",
                             "score one surface, or a network on a data set, against the truth, one "
                             "picture or one mesh against another");
@@ -324,6 +324,9 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
       ->check(CLI::Range(2, 32).description(""))
       ->group("A data set");
   c->add_flag("--keep-water", keep_water, "score cells of class 9 (water) as well")
+      ->group("A data set");
+  c->add_flag("--no-meshes", no_meshes,
+              "do not fuse meshes for chamfer distance and F1, which takes seconds per scene")
       ->group("A data set");
   c->add_option("--csv", s.csv, "every number, one row per scene and the mean")
       ->type_name("FILE")
@@ -386,7 +389,7 @@ void add_evaluate(CLI::App& app, Common& common, std::function<void()>& run) {
       throw CLI::RequiredError(
           "--dsm and --truth, --data, --image and --reference, or --mesh and --reference-mesh");
     s.registration = d.registration, s.json = d.json, s.mask_water = !keep_water,
-    s.overwrite = d.overwrite, s.lpips_weights = p.lpips_weights;
+    s.meshes = !no_meshes, s.overwrite = d.overwrite, s.lpips_weights = p.lpips_weights;
     run = [] { s.data.empty() ? run_evaluate_dsm(d) : run_evaluate_data(s); };
   });
 }
