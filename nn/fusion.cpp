@@ -45,6 +45,7 @@ FeatureFusion<T>::FeatureFusion(ParameterSet<T>& p, const std::string& name,
   value_mono_->weight.mutable_value().fill(T(0));
   if (as_published) return;
   query_->weight.mutable_value().fill(T(0));
+  if (additive_) return;
   offset_ = p.create(name + ".offset", {1}, Init::constant(kGate), false);
 }
 

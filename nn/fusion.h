@@ -17,7 +17,8 @@ namespace satsurf::nn {
 ///   paper     as it stands, v_o zero at the start: then F' = (1 - W) v_m(F)
 ///   gated     a learned offset of -4 to begin with goes to l_mono, v_m starts as the identity and q
 ///             at zero: F' = F within 3 %
-///   additive  as gated, but F' = v_m(F) + W v_o(M): F' = F at the start
+///   additive  F' = v_m(F) + W v_o(M), v_m the identity and v_o zero at the start: F' = F then, and
+///             W as published from the first step on
 /// `naive` fusion is one 1 x 1 convolution of F and M stacked.
 /// Source: SatSurfGS, confidence-aware monocular multi-view feature fusion.
 template <class T>
@@ -40,7 +41,7 @@ class FeatureFusion {
   double lambda_, tau_;
   std::optional<Conv2d<T>> joined_;  // naive
   std::optional<Conv2d<T>> query_, key_features_, value_features_, key_mono_, value_mono_;
-  BasicVar<T> offset_;  ///< [1] of l_mono
+  BasicVar<T> offset_;  ///< [1] of l_mono, gated
 };
 
 }  // namespace satsurf::nn
