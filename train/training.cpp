@@ -149,14 +149,16 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
       report.terms = std::move(loss.terms);
       if (std::isfinite(report.loss)) loss.total.backward();
     }
-    if (!std::isfinite(report.loss)) {  // once more under guard, to name the op that broke
+    report.grad_norm = std::isfinite(report.loss)
+                           ? nn::clip_gradient_norm(task.parameters(), settings.clip)
+                           : std::nan("");
+    if (!std::isfinite(report.grad_norm)) {  // once more under guard, to name the op that broke
+      task.parameters().clear_grads();
       const NanGuard guard;
-      task.loss(step);
-      throw Error("train: the loss of step " + std::to_string(step + 1) + " is not finite");
+      task.loss(step).total.backward();
+      throw Error(std::string("train: the ") + (std::isfinite(report.loss) ? "gradient" : "loss") +
+                  " of step " + std::to_string(step + 1) + " is not finite");
     }
-    report.grad_norm = nn::clip_gradient_norm(task.parameters(), settings.clip);
-    if (!std::isfinite(report.grad_norm))
-      throw Error("train: the gradient of step " + std::to_string(step + 1) + " is not finite");
     optimiser.step(report.lr);
     ++step;
     report.seconds =
