@@ -7,6 +7,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdlib>
+#include <limits>
 #include <map>
 #include <mutex>
 #include <new>
@@ -179,6 +180,10 @@ BasicTensor<T> BasicTensor<T>::uninitialised(const Shape& shape) {
   const std::size_t bytes = static_cast<std::size_t>(shape.count()) * sizeof(T);
   t.buffer_ = std::shared_ptr<T>(static_cast<T*>(pool().take(bytes)),
                                  [bytes](T* p) { pool().give(p, bytes); });
+#ifdef SATSURF_CHECKED
+  // What is read before it is written shows, even where it is multiplied by zero.
+  std::fill_n(t.buffer_.get(), shape.count(), std::numeric_limits<T>::quiet_NaN());
+#endif
   return t;
 }
 

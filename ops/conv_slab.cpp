@@ -154,12 +154,16 @@ Slab<T>::Slab(const ConvKernels<T>& kernels, const Axes& axes, const Input<T>& i
       zeros_(BasicTensor<T>({axes[1].mixed ? axes[2].size : 0})),
       rows_(kernels, input, channels, axes[2].size, winograd::kMixes) {
   // What lies between planes may serve as a row's trailing zeros; everything else load_plane
-  // writes.
+  // writes. Whole vectors at the end of a plane reach into the next, which may not be loaded yet:
+  // what they read there must be finite, for it meets zeros of the other factor.
   const Index used = axes[1].reads * axes[2].reads * line_rows_ * pitch_;
   for (Index c = 0; c < C_; ++c) {
     T* channel = buffer_.data() + c * c_stride_;
-    for (Index i = 0; i < planes_; ++i)
-      std::fill(channel + i * plane_stride_ + used, channel + (i + 1) * plane_stride_, T(0));
+    for (Index i = 0; i < planes_; ++i) {
+      T* plane = channel + i * plane_stride_;
+      std::fill(plane, plane + std::min(tail<T>(axes), used), T(0));
+      std::fill(plane + used, plane + plane_stride_, T(0));
+    }
     std::fill(channel + planes_ * plane_stride_, channel + c_stride_, T(0));
   }
   std::fill(buffer_.data() + C_ * c_stride_, buffer_.data() + buffer_.count(), T(0));
