@@ -9,7 +9,7 @@ namespace {
 
 /// Matching alone: no monocular branch, and no stage tells the next more than where to search.
 ModelConfig cascade(ModelConfig config) {
-  config.mono = config.fusion = config.guidance = "none";
+  config.mono = config.fusion = config.guidance = config.context = "none";
   return config;
 }
 
@@ -30,7 +30,8 @@ ModelConfig model_preset(const std::string& name) {
   if (name == "base8") return {};
   if (name == "base16") return {.base = 16, .volume_base = 16, .head_width = {96, 64, 48}};
   if (name == "cascade8") return cascade({});
-  if (name == "paper") return {.rotation = "camera", .fusion_start = "paper", .confidence = "raw"};
+  if (name == "paper")
+    return {.context = "none", .rotation = "camera", .fusion_start = "paper", .confidence = "raw"};
   if (name == "mvsplat_like") return cascade({.hypotheses = {128, 0, 0}});
   if (name == "hisplat_like") {
     ModelConfig config = cascade({.keep = "all"});
@@ -38,7 +39,11 @@ ModelConfig model_preset(const std::string& name) {
     return config;
   }
   if (name == "skysplat_like")
-    return {.hypotheses = {64, 0, 0}, .rotation = "camera", .fusion = "none", .guidance = "none"};
+    return {.hypotheses = {64, 0, 0},
+            .context = "none",
+            .rotation = "camera",
+            .fusion = "none",
+            .guidance = "none"};
   throw ConfigError("preset: '" + name + "', expected one of " + model_preset_names());
 }
 

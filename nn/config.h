@@ -23,6 +23,7 @@ struct ModelConfig {
   double interval_min = 0.2;  ///< of the last stage, m
   double interval_max = 1.0;  ///< of the last stage, m
   bool variance_includes_reference = true;
+  std::string context = "reference";  ///< of the 3D U-Nets beside variances: none | reference
   /// Surfel orientation: camera | camera+residual (of the head) | gradient (of the heights).
   std::string rotation = "camera+residual";
   std::string mono = "own";  ///< monocular branch: none | own (nn/mono.h)
@@ -63,6 +64,10 @@ struct ModelConfig {
       Field{.help = "largest interval of the last stage", .unit = "m", .min = 0.01, .max = 100});
     v("variance_includes_reference", s.variance_includes_reference,
       Field{.help = "count the reference view's own feature in the variance"});
+    v("context", s.context,
+      Field{.help = "what the 3D U-Nets are told beside variances: nothing or the reference view's "
+                    "features",
+            .choices = {"none", "reference"}});
     v("rotation", s.rotation,
       Field{.help = "surfel orientation", .choices = {"camera", "camera+residual", "gradient"}});
     v("mono", s.mono,

@@ -10,7 +10,7 @@ namespace satsurf::nn {
 
 template <class T>
 CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base,
-                    Index levels)
+                    Index levels, bool context)
     : first_(p, name + ".first", channels, base, 1) {
   for (Index l = 0; l < levels; ++l) {
     const std::string level = name + ".level" + std::to_string(l + 1);
@@ -19,11 +19,13 @@ CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, Index channels,
                             ConvNorm3d<T>(p, level + ".same", 2 * c, 2 * c, 1),
                             UpNorm3d<T>(p, level + ".up", 2 * c, c)});
   }
+  if (context) context_.emplace(p, name + ".context", channels, 2 * base, 4, 2, Activation::none);
   last_ = p.create(name + ".logit.weight", {1, base, 3, 3, 3}, Init::kaiming(base * 27), true);
 }
 
 template <class T>
-BasicVar<T> CostNet<T>::operator()(BasicVar<T> volume, const std::function<void()>& poll) const {
+BasicVar<T> CostNet<T>::operator()(BasicVar<T> volume, const BasicVar<T>& features,
+                                   const std::function<void()>& poll) const {
   const auto polled = [&poll](Normalised<T> x) {
     if (poll) poll();
     return x;
@@ -32,7 +34,12 @@ BasicVar<T> CostNet<T>::operator()(BasicVar<T> volume, const std::function<void(
   // The volume is the largest tensor of all: without a tape it goes as soon as it has been read.
   std::vector<Normalised<T>> skips;
   skips.push_back(polled(first_(reshape(std::exchange(volume, {}), Shape{1, C, D, H, W}))));
-  for (const Level& l : levels_) skips.push_back(polled(l.same(polled(l.down(skips.back())))));
+  for (const Level& l : levels_) {
+    Normalised<T> down = polled(l.down(skips.back()));
+    if (context_ && skips.size() == 1)
+      down = add_map(std::move(down), evaluate((*context_)(features)));
+    skips.push_back(polled(l.same(down)));
+  }
   Normalised<T> x = std::move(skips.back());
   for (std::size_t l = levels_.size(); l-- > 0;)
     x = add(std::move(skips[l]), polled(levels_[l].up(x)));

@@ -4,24 +4,30 @@
 #include "satsurf/nn/blocks.h"
 
 #include <functional>
+#include <optional>
 #include <vector>
 
 namespace satsurf::nn {
 
-/// 3D U-Net that turns a variance volume into one logit per hypothesis.
-/// Source: Yao et al. 2018 (MVSNet), figure 2.
+/// 3D U-Net that turns a variance volume into one logit per hypothesis. A variance says how well
+/// views agree and nothing of what is seen there: with `context`, the first halved level is also
+/// told the reference's features, the same for every hypothesis.
+/// Source: Yao et al. 2018 (MVSNet), figure 2; the context is ours.
 template <class T>
 class CostNet {
  public:
   /// p             where the parameters are created, under `name`
   /// channels      of the variance volume
   /// base, levels  as volume_base and volume_levels of ModelConfig
-  CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base, Index levels);
+  CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base, Index levels,
+          bool context = false);
   /// volume   [C D H W], D, H and W multiples of 2^levels
+  /// features [1 C H W] of the reference view; not read without context
   /// poll     called between layers, may throw to stop
   /// returns  logits [1 D H W]
   /// throws   ShapeError
-  BasicVar<T> operator()(BasicVar<T> volume, const std::function<void()>& poll = {}) const;
+  BasicVar<T> operator()(BasicVar<T> volume, const BasicVar<T>& features = {},
+                         const std::function<void()>& poll = {}) const;
 
  private:
   struct Level {
@@ -30,6 +36,7 @@ class CostNet {
   };
   ConvNorm3d<T> first_;
   std::vector<Level> levels_;
+  std::optional<ConvNorm2d<T>> context_;
   BasicVar<T> last_;
 };
 

@@ -111,8 +111,8 @@ struct BasicModel<T>::Parts {
                   head_in = 3 + channels + config.hypotheses[s] + 1;
       std::optional<CostNet<T>> cost;
       if (config.hypotheses[s] > 0)
-        cost.emplace(parameters, name + ".cost", channels, config.volume_base,
-                     config.volume_levels);
+        cost.emplace(parameters, name + ".cost", channels, config.volume_base, config.volume_levels,
+                     config.context == "reference");
       stages.push_back({std::move(cost),
                         SurfelHead<T>(parameters, name + ".head", head_in, config.head_width[s]),
                         {},
@@ -287,7 +287,7 @@ class BasicModel<T>::Parts::Pass {
       logits.push_back((*net_.stages[s].cost)(
           plane_sweep_variance(pyramid_[s], i, maps, stage.hypotheses.slice0(i), seen,
                                config_.variance_includes_reference),
-          poll_));
+          of_view(pyramid_[s], i), poll_));
     }
     const BasicVar<T> all = concat(std::exchange(logits, {}), 0);
     const auto distribution = height_distribution(all, stage.hypotheses);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/ops/normalised.h"
 
+#include "satsurf/core/dims.h"
 #include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/pointwise_kernels.h"
@@ -133,6 +134,33 @@ BasicVar<T> add(Normalised<T> a, Normalised<T> b) {
                              });
 }
 
+template <class T>
+BasicVar<T> add_map(Normalised<T> volume, const BasicVar<T>& map) {
+  Dims dim("add_map");
+  dim.match("volume", volume.x, "B C D H W").match("map", map, "B C H W");
+  detail::check_normalised("add_map", volume);
+  const Index rows = dim["B"] * dim["C"], D = dim["D"], P = dim["H"] * dim["W"];
+  const NormRows<T> norm(volume.affine.empty() ? nullptr : volume.affine.value().data(), rows);
+  const Activation activation = volume.activation;
+  auto out = volume.x.reuse_or_new();
+  const T *x = volume.x.value().data(), *added = map.value().data();
+  const auto kernel = SATSURF_DISPATCH(norm_apply<T>);
+  for_each_index(rows * D, [&](Index plane) {
+    const Index row = plane / D;
+    kernel(P, x + plane * P, norm[row], activation, added + row * P, out.data() + plane * P);
+  });
+  return BasicVar<T>::record("add_map", out, {volume.x, volume.affine, map}, [=](Node<T>& n) {
+    detail::normalised_backward(n, 0, activation, n.grad.data());
+    if (T* const d = n.grad_in(2))
+      for_each_index(rows, [&](Index row) {
+        for (Index k = 0; k < D; ++k) {
+          const T* const g = n.grad.data() + (row * D + k) * P;
+          for (Index i = 0; i < P; ++i) d[row * P + i] += g[i];
+        }
+      });
+  });
+}
+
 Moments Moments::about(double centre, double n, double sum, double squares) {
   if (n == 0) return {};
   const double mean = sum / n;
@@ -173,6 +201,8 @@ template BasicVar<float> evaluate(Normalised<float>);
 template BasicVar<double> evaluate(Normalised<double>);
 template BasicVar<float> add(Normalised<float>, Normalised<float>);
 template BasicVar<double> add(Normalised<double>, Normalised<double>);
+template BasicVar<float> add_map(Normalised<float>, const BasicVar<float>&);
+template BasicVar<double> add_map(Normalised<double>, const BasicVar<double>&);
 template ChannelMoments channel_moments(const BasicTensor<float>&);
 template ChannelMoments channel_moments(const BasicTensor<double>&);
 

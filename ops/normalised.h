@@ -47,6 +47,15 @@ BasicVar<T> evaluate(Normalised<T> value);
 template <class T>
 BasicVar<T> add(Normalised<T> a, Normalised<T> b);
 
+/// A map added to every slice of a volume along its depth.
+/// volume   [B C D H W]
+/// map      [B C H W]
+/// returns  volume's shape
+/// throws   ShapeError
+/// memory   as `evaluate`
+template <class T>
+BasicVar<T> add_map(Normalised<T> volume, const BasicVar<T>& map);
+
 /// Number, mean and sum of squared deviations of some elements.
 struct Moments {
   double count = 0, mean = 0, m2 = 0;

@@ -134,6 +134,32 @@ TEST_CASE("gradients of normalised values") {
   }
 }
 
+TEST_CASE("a map added along the depth of a volume") {
+  const auto volume = normal({2, 3, 4, 5, 6}, 60), map = normal({2, 3, 5, 6}, 61),
+             affine = normal({3, 2, 3}, 62);
+  for (const Activation a : kActivations) {
+    for (const int n : {1, 2}) {
+      set_threads(n);
+      const NoGrad no_grad;
+      const auto out =
+          add_map(Normalised<double>(BasicVar<double>(volume), BasicVar<double>(affine), a),
+                  BasicVar<double>(map))
+              .value();
+      for (Index i = 0; i < out.count(); ++i) {
+        const Index row = i / 120, p = i % 30;
+        const double z = affine[6 + row] * (volume[i] - affine[row]) + affine[12 + row];
+        REQUIRE(out[i] == doctest::Approx(act(a, z) + map[row * 30 + p]));
+      }
+    }
+    set_threads(0);
+    CHECK(gradcheck(
+        [=](const test::DoubleVars& v) { return add_map(Normalised<double>(v[0], v[1], a), v[2]); },
+        {normal({2, 3, 4, 2, 3}, 63), normal({3, 2, 3}, 64), normal({2, 3, 2, 3}, 65)}));
+  }
+  const BasicVar<double> x(volume), wrong(normal({2, 3, 5, 7}, 66));
+  CHECK_THROWS_AS(add_map(Normalised<double>(x), wrong), ShapeError);
+}
+
 TEST_CASE("moments of channels") {
   // a mean far above the spread, and channels of more than one chunk
   auto x = normal({2, 3, 20011}, 50);

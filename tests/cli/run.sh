@@ -105,6 +105,11 @@ succeeds "info of weights" "$satsurf" info $weights
 holds "it says what they were trained on" grep -qE "training +24 steps on 2 scenes, seed 9; .*\"crop\":32" stdout
 holds "and by which program" grep -qE "program +satsurf [0-9.]+ \(.+\)" stdout
 
+# The whole method brings its monocular branch along; a smaller one needs its own.
+succeeds "train the whole method" "$satsurf" train --data data --out method --preset base8 --crop 32 --steps 1 --quiet
+holds "the branch is in it" grep -q '"mono":"own"' <("$satsurf" info method/weights.safetensors)
+refuses "a branch of another size" 1 "mono12.safetensors" "$satsurf" train --data data --out no --preset tiny_full --crop 32 --steps 1 --quiet
+
 # The monocular network: the same program, another task.
 mono=(--task mono --mono.base 2 --crop 32 --steps 8 --seed 9 --quiet)
 succeeds "train mono" "$satsurf" train --data data --out mono "${mono[@]}"
