@@ -19,7 +19,10 @@ CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, Index channels,
                             ConvNorm3d<T>(p, level + ".same", 2 * c, 2 * c, 1),
                             UpNorm3d<T>(p, level + ".up", 2 * c, c)});
   }
-  if (context) context_.emplace(p, name + ".context", channels, 2 * base, 4, 2, Activation::none);
+  if (context) {
+    context_.emplace(p, name + ".context", channels, 2 * base, 4, 2, Activation::none);
+    context_->gamma.mutable_value().fill(T(0));  // matching comes first
+  }
   last_ = p.create(name + ".logit.weight", {1, base, 3, 3, 3}, Init::kaiming(base * 27), true);
 }
 
