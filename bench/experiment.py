@@ -6,12 +6,14 @@ them on the same held-out scenes and writes the table.
   bench/experiment.py OUT [--steps 1000] [--seeds 1 2] [--only REGEX] [--lpips FILE] [--satsurf build/release/bin/satsurf]
 
 Goes on where it stopped: whatever OUT already holds is not made again. OUT/experiment.json is the configuration; another
-one needs another OUT. OUT/table.md and OUT/table.json hold the scores, means over the seeds with their spread. Runs go
-side by side, a core each: that takes a fifth less time than one after the other, and any number of threads gives the
+one needs another OUT. OUT/table.md and OUT/table.json hold the scores, means over scenes and seeds with the spread of
+the seeds, and how the whole method compares with each other variant, also scene by scene: one scene can have more say in
+a mean than all others. Runs go side by side, a core each: that takes a fifth less time than one after the other, and any number of threads gives the
 same bits. The monocular branch is that of --mono, for all that have one.
 """
 import argparse
 import concurrent.futures
+import csv
 import json
 import os
 import re
@@ -98,38 +100,55 @@ def cell(values, factor, digits):
     return f'{mean:.{digits}f} ± {half:.{digits}f}'
 
 
+def compare(full, other, column):
+    """In words: the whole method against another variant, both [(mean row, scene rows)] of the same seeds, in one
+    column."""
+    key, title, factor, digits, less = column
+    means = [[m[key] for m, _ in runs if key in m] for runs in (full, other)]
+    if not all(means):
+        return None
+    better = factor * (-1 if less else 1)
+    gain = better * (sum(means[0]) / len(means[0]) - sum(means[1]) / len(means[1]))
+    spread = abs(factor) * max(max(v) - min(v) for v in means)
+    word = 'ahead' if gain > spread else 'behind' if gain < -spread else 'within the spread'
+    pairs = [(a[key], b[key]) for (_, x), (_, y) in zip(full, other) for a, b in zip(x, y) if key in a and key in b]
+    ahead = sum(better * (a - b) > 0 for a, b in pairs)
+    return (f'{title}: {word} ({gain:+.{digits}f}, spread {spread:.{digits}f}; ahead in {ahead} of {len(pairs)} '
+            'scenes)')
+
+
 def write_table(out, config, scores):
-    """scores: {variant: [mean of evaluate, one per seed]}"""
+    """scores: {variant: {seed: (mean row, scene rows) of evaluate}}"""
     lines = ['| variant | ' + ' | '.join(title for _, title, *_ in COLUMNS) + ' |',
              '|---' * (len(COLUMNS) + 1) + '|']
-    table = {}
-    for variant, means in scores.items():
-        cells, table[variant] = [], {}
-        for key, _, factor, digits, _ in COLUMNS:
-            values = [m[key] for m in means if m.get(key) is not None]
-            table[variant][key] = values
-            cells.append(cell(values, factor, digits))
+    for variant, runs in scores.items():
+        cells = [cell([m[key] for m, _ in runs.values() if key in m], factor, digits) for key, _, factor, digits, _ in COLUMNS]
         lines.append(f'| {variant} | ' + ' | '.join(cells) + ' |')
-    full = table.get('full', {})
     lines.append('')
-    for variant in table:
-        if variant == 'full' or not full:
-            continue
-        verdicts = []
-        for key, title, factor, digits, less in COLUMNS:
-            a, b = full.get(key), table[variant][key]
-            if not a or not b:
-                continue
-            gain = factor * (sum(b) / len(b) - sum(a) / len(a)) * (1 if less else -1)
-            spread = factor * max(max(a) - min(a), max(b) - min(b))
-            word = 'ahead' if gain > spread else 'behind' if gain < -spread else 'within the spread'
-            verdicts.append(f'{title}: {word} ({gain:+.{digits}f}, spread {spread:.{digits}f})')
-        lines.append(f'- full against {variant}: ' + '; '.join(verdicts))
+    for variant, runs in scores.items():
+        if variant != 'full' and 'full' in scores:
+            seeds = [k for k in runs if k in scores['full']]
+            verdicts = [compare([scores['full'][k] for k in seeds], [runs[k] for k in seeds], column)
+                        for column in COLUMNS]
+            lines.append(f'- full against {variant}: ' + '; '.join(v for v in verdicts if v))
     with open(os.path.join(out, 'table.md'), 'w', encoding='utf-8') as f:
         f.write('\n'.join(lines) + '\n')
     with open(os.path.join(out, 'table.json'), 'w', encoding='utf-8') as f:
-        json.dump({'experiment': config, 'scores': table}, f, indent=2)
-    print('\n'.join(lines))
+        json.dump({'experiment': config,
+                   'scores': {v: {k: {'mean': m, 'scenes': rows} for k, (m, rows) in runs.items()}
+                              for v, runs in scores.items()}},
+                  f, indent=2)
+    print('\n'.join(lines), flush=True)
+
+
+def read_scores(path):
+    """Mean row and scene rows of a table of evaluate; numbers that do not exist are left out."""
+    with open(path, encoding='utf-8', newline='') as f:
+        rows = list(csv.DictReader(f))
+    numbers = [{k: float(v) for k, v in row.items() if k != 'scene' and v} for row in rows]
+    if not rows or rows[-1]['scene'] != 'mean':
+        raise RuntimeError(f'{path}: no mean in the last row')
+    return numbers[-1], numbers[:-1]
 
 
 def main():
@@ -174,18 +193,17 @@ def main():
     lpips = ['--lpips_weights', arguments.lpips] if arguments.lpips else []
 
     def score(variant, seed):
-        """Means of evaluate's numbers over the held-out scenes."""
+        """What evaluate finds on the held-out scenes, see `read_scores`."""
         name = f'{file_name(variant)}-{seed}'
-        folder, result = os.path.join(out, 'runs', name), os.path.join(out, 'scores', name + '.json')
+        folder, result = os.path.join(out, 'runs', name), os.path.join(out, 'scores', name + '.csv')
         log = os.path.join(out, 'runs', name + '.log')
         if not os.path.exists(result):
             train(satsurf, folder, arguments.steps,
                   [*VARIANTS[variant], '--data', data, '--seed', str(seed), '--crop', str(arguments.crop),
                    '--mono_weights', arguments.mono, *lpips, *threads], log)
             run([satsurf, 'evaluate', '--data', heldout, '--weights', os.path.join(folder, 'weights.safetensors'),
-                 '--json', result, *threads, *(['--lpips-weights', arguments.lpips] if arguments.lpips else [])], log)
-        with open(result, encoding='utf-8') as f:
-            return json.load(f)['results']['mean']
+                 '--csv', result, *threads, *(['--lpips-weights', arguments.lpips] if arguments.lpips else [])], log)
+        return read_scores(result)
 
     os.makedirs(os.path.join(out, 'runs'), exist_ok=True)
     scores = {}
@@ -199,8 +217,7 @@ def main():
                 scores.setdefault(variant, {})[seed] = finished.result()
                 with PRINTING:
                     write_table(out, {**config, 'seeds': arguments.seeds},
-                                {v: [by_seed[k] for k in sorted(by_seed)]
-                                 for v in variants if (by_seed := scores.get(v))})
+                                {v: dict(sorted(scores[v].items())) for v in variants if v in scores})
         except (RuntimeError, OSError) as e:
             for other in runs:
                 other.cancel()
