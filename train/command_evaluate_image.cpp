@@ -51,11 +51,6 @@ void check_finite(const fs::path& file, const Tensor& picture, const Tensor& mas
                     ", wanted finite numbers; --mask leaves pixels out");
 }
 
-/// JSON has neither NaN nor infinity.
-nlohmann::ordered_json number(double v) {
-  return std::isfinite(v) ? nlohmann::ordered_json(v) : nlohmann::ordered_json(nullptr);
-}
-
 void print(const char* name, double value, const char* note) {
   std::printf("%-10s %10.5f%s\n", name, value, note);
 }
@@ -99,11 +94,11 @@ void run_evaluate_image(const EvaluateImageOptions& options) {
 
   if (!options.json.empty()) {
     for (const fs::path& file : inputs) record.add_input(file);
-    nlohmann::ordered_json j{{"psnr", number(s.psnr)},
+    nlohmann::ordered_json j{{"psnr", json_number(s.psnr)},
                              {"psnr_infinite", std::isinf(s.psnr)},
-                             {"ssim", number(s.ssim)},
-                             {"ssim_conv", number(s.ssim_conv)},
-                             {"lpips", s.lpips ? number(*s.lpips) : nullptr},
+                             {"ssim", json_number(s.ssim)},
+                             {"ssim_conv", json_number(s.ssim_conv)},
+                             {"lpips", s.lpips ? json_number(*s.lpips) : nullptr},
                              {"lpips_backbone", nullptr}};
     if (s.lpips) j["lpips_backbone"] = s.lpips_backbone;
     nlohmann::ordered_json run = record.json();

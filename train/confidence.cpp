@@ -2,6 +2,7 @@
 #include "satsurf/train/confidence.h"
 
 #include "satsurf/core/dims.h"
+#include "satsurf/train/record.h"
 
 #include <algorithm>
 #include <cmath>
@@ -13,23 +14,18 @@ namespace {
 
 constexpr std::size_t kSlices = 100000;  // a multiple of the bins, so that these are exact
 
-/// JSON has no NaN.
-nlohmann::ordered_json number(double v) {
-  return std::isfinite(v) ? nlohmann::ordered_json(v) : nlohmann::ordered_json(nullptr);
-}
-
 nlohmann::ordered_json bins_json(const std::vector<ConfidenceBin>& bins) {
   auto out = nlohmann::ordered_json::array();
   for (const ConfidenceBin& b : bins)
     out.push_back({{"low", b.low},
                    {"high", b.high},
-                   {"confidence", number(b.confidence)},
+                   {"confidence", json_number(b.confidence)},
                    {"pixels", b.pixels},
-                   {"mae", number(b.mae)},
-                   {"rmse", number(b.rmse)},
-                   {"pag1", number(b.pag1)},
-                   {"pag2.5", number(b.pag2_5)},
-                   {"pag7.5", number(b.pag7_5)}});
+                   {"mae", json_number(b.mae)},
+                   {"rmse", json_number(b.rmse)},
+                   {"pag1", json_number(b.pag1)},
+                   {"pag2.5", json_number(b.pag2_5)},
+                   {"pag7.5", json_number(b.pag7_5)}});
   return out;
 }
 

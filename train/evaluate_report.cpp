@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/evaluate.h"
+#include "satsurf/train/record.h"
 
 #include <cmath>
 #include <cstdio>
@@ -91,11 +92,6 @@ Row mean_of(const std::vector<SceneScores>& scores) {
   return sums;
 }
 
-/// JSON has no NaN; null says that a number does not exist.
-nlohmann::ordered_json number(double v) {
-  return std::isfinite(v) ? nlohmann::ordered_json(v) : nlohmann::ordered_json(nullptr);
-}
-
 nlohmann::ordered_json by_registration(const SceneScores& s) {
   nlohmann::ordered_json out;
   for (std::size_t k = 0; k < kRegistrations.size(); ++k)
@@ -110,24 +106,24 @@ nlohmann::ordered_json by_registration(const SceneScores& s) {
 nlohmann::ordered_json scores_json(const HeightScores& s) {
   return {{"truth_cells", s.truth},
           {"compared_cells", s.compared},
-          {"completeness", number(s.completeness)},
-          {"mae", number(s.mae)},
-          {"rmse", number(s.rmse)},
-          {"median", number(s.median)},
-          {"nmad", number(s.nmad)},
-          {"pag1", number(s.pag1)},
-          {"pag2.5", number(s.pag2_5)},
-          {"pag7.5", number(s.pag7_5)},
-          {"pag1_compared", number(s.pag1_compared)},
-          {"pag2.5_compared", number(s.pag2_5_compared)},
-          {"pag7.5_compared", number(s.pag7_5_compared)}};
+          {"completeness", json_number(s.completeness)},
+          {"mae", json_number(s.mae)},
+          {"rmse", json_number(s.rmse)},
+          {"median", json_number(s.median)},
+          {"nmad", json_number(s.nmad)},
+          {"pag1", json_number(s.pag1)},
+          {"pag2.5", json_number(s.pag2_5)},
+          {"pag7.5", json_number(s.pag7_5)},
+          {"pag1_compared", json_number(s.pag1_compared)},
+          {"pag2.5_compared", json_number(s.pag2_5_compared)},
+          {"pag7.5_compared", json_number(s.pag7_5_compared)}};
 }
 
 nlohmann::ordered_json scores_json(const mesh::MeshComparison& c) {
   const auto of = [](const mesh::SurfaceScores& s) {
-    nlohmann::ordered_json j{{"chamfer", number(s.chamfer)},
-                             {"mesh_to_reference", number(s.to_reference)},
-                             {"reference_to_mesh", number(s.to_mesh)},
+    nlohmann::ordered_json j{{"chamfer", json_number(s.chamfer)},
+                             {"mesh_to_reference", json_number(s.to_reference)},
+                             {"reference_to_mesh", json_number(s.to_mesh)},
                              {"f1", nlohmann::ordered_json::object()},
                              {"precision", nlohmann::ordered_json::object()},
                              {"recall", nlohmann::ordered_json::object()},
@@ -136,9 +132,9 @@ nlohmann::ordered_json scores_json(const mesh::MeshComparison& c) {
     for (const mesh::FScore& f : s.f) {
       char key[16];
       std::snprintf(key, sizeof key, "%g", f.threshold);
-      j["f1"][key] = number(f.f1);
-      j["precision"][key] = number(f.precision);
-      j["recall"][key] = number(f.recall);
+      j["f1"][key] = json_number(f.f1);
+      j["precision"][key] = json_number(f.precision);
+      j["recall"][key] = json_number(f.recall);
     }
     return j;
   };
@@ -162,17 +158,17 @@ nlohmann::ordered_json scores_json(const std::vector<SceneScores>& scores) {
          {"dsm", scores_json(s.dsm)},
          {"dsm_by_registration", by_registration(s)},
          {"mvs_source", scores_json(s.mvs_source)},
-         {"mvs_source_rmse_per_view", number(s.mvs_source_rmse_per_view)},
+         {"mvs_source_rmse_per_view", json_number(s.mvs_source_rmse_per_view)},
          {"render_target", scores_json(s.render_target)},
          {"mesh", s.mesh ? scores_json(*s.mesh) : nlohmann::ordered_json(nullptr)},
-         {"render_target_psnr", number(s.target.psnr)},
-         {"render_target_ssim", number(s.target.ssim)},
-         {"render_target_ssim_conv", number(s.target.ssim_conv)},
-         {"render_target_lpips", number(s.target.lpips.value_or(std::nan("")))},
+         {"render_target_psnr", json_number(s.target.psnr)},
+         {"render_target_ssim", json_number(s.target.ssim)},
+         {"render_target_ssim_conv", json_number(s.target.ssim_conv)},
+         {"render_target_lpips", json_number(s.target.lpips.value_or(std::nan("")))},
          {"seconds", s.seconds}});
     if (!s.target.lpips_backbone.empty()) out["lpips_backbone"] = s.target.lpips_backbone;
   }
-  for (const auto& [name, value] : mean_of(scores)) out["mean"][name] = number(value);
+  for (const auto& [name, value] : mean_of(scores)) out["mean"][name] = json_number(value);
   return out;
 }
 

@@ -75,6 +75,7 @@ struct StageLoss {
   const LossConfig& config;
   const nn::ModelConfig& model;
   const nn::StageOutput<float>& stage;
+  std::size_t index;  ///< of the stage
   const Crop& crop;
   const LossContext& context;
 
@@ -109,9 +110,7 @@ struct StageLoss {
     if (config.geo_target != "dsm" && !stage.mono_height.empty())
       add_term(total, correlation(stage.mono_height, seen), weight * config.geo_weight);
     if (config.geo_target == "mono" || crop.source_truth.empty()) return;
-    Target truth = height_target(crop.source_truth[stage.stride == 4   ? 0
-                                                   : stage.stride == 2 ? 1
-                                                                       : 2]);
+    Target truth = height_target(crop.source_truth[index]);
     for (Index i = 0; i < seen.count(); ++i) truth.weight[i] *= seen[i];
     add_term(total, correlation(truth.value, truth.weight), weight * config.geo_weight);
   }
@@ -211,7 +210,7 @@ LossReport training_loss(const LossConfig& config, const nn::ModelConfig& model,
   LossReport report{{}, std::nan(""), std::nan(""), std::nan("")};
   for (std::size_t s = 0; s < 3; ++s) {
     const nn::StageOutput<float>& stage = stages[s];
-    const StageLoss loss{config, model, stage, crop, context};
+    const StageLoss loss{config, model, stage, s, crop, context};
     const double weight = config.stage_weight[s];
     if (weight <= 0) continue;
     if (!crop.source_truth.empty()) {

@@ -11,6 +11,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <ctime>
 #include <utility>
 
@@ -44,6 +45,10 @@ std::string utc(std::chrono::system_clock::time_point time) {
 }
 
 }  // namespace
+
+nlohmann::ordered_json json_number(double v) {
+  return std::isfinite(v) ? nlohmann::ordered_json(v) : nlohmann::ordered_json(nullptr);
+}
 
 RunRecord::RunRecord(std::string command, nlohmann::json config, std::uint64_t seed)
     : command_(std::move(command)),

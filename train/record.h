@@ -11,6 +11,9 @@
 
 namespace satsurf::train {
 
+/// A number as results have it: null where it is NaN or infinite, which JSON has no words for.
+nlohmann::ordered_json json_number(double v);
+
 /// What a run depended on and what came of it: `run.json`. Given back as `--config run.json`, it
 /// repeats the run.
 class RunRecord {
