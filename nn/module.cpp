@@ -63,6 +63,19 @@ void ParameterSet<T>::store(TensorFile& file, const std::string& prefix) const {
 template <class T>
 void ParameterSet<T>::load(const TensorFile& file, const std::string& prefix,
                            const std::string& where) {
+  take(file, prefix, where, true);
+}
+
+template <class T>
+std::vector<std::string> ParameterSet<T>::load_present(const TensorFile& file,
+                                                       const std::string& prefix,
+                                                       const std::string& where) {
+  return take(file, prefix, where, false);
+}
+
+template <class T>
+std::vector<std::string> ParameterSet<T>::take(const TensorFile& file, const std::string& prefix,
+                                               const std::string& where, bool all) {
   std::vector<std::string> missing, misshaped, extra;
   std::set<std::string> known;
   for (const Entry& e : entries_) {
@@ -77,20 +90,25 @@ void ParameterSet<T>::load(const TensorFile& file, const std::string& prefix,
   for (const auto& [name, tensor] : file.tensors)
     if (name.starts_with(prefix) && !known.contains(name))
       extra.push_back(name.substr(prefix.size()));
-  if (!missing.empty() || !misshaped.empty() || !extra.empty()) {
+  const bool too_few = all ? !missing.empty() : missing.size() == entries_.size();
+  if (too_few || !misshaped.empty() || !extra.empty()) {
     std::string text = where + ": these parameters do not fit the model";
-    append_some(text, "missing", missing);
+    if (too_few) append_some(text, "missing", missing);
     append_some(text, "of another shape", misshaped);
     append_some(text, "not in the model", extra);
     throw IoError(text);
   }
-  for (const Entry& e : entries_)
-    for (const float v : file.tensors.at(prefix + e.name).values())
-      if (!std::isfinite(v))
-        throw IoError(where + ": parameter " + e.name + " holds " + std::to_string(v) +
-                      ", expected finite numbers");
+  std::vector<std::pair<Entry*, const Tensor*>> found;
   for (Entry& e : entries_)
-    e.var.mutable_value() = file.tensors.at(prefix + e.name).template cast<T>();
+    if (const auto it = file.tensors.find(prefix + e.name); it != file.tensors.end())
+      found.emplace_back(&e, &it->second);
+  for (const auto& [e, tensor] : found)
+    for (const float v : tensor->values())
+      if (!std::isfinite(v))
+        throw IoError(where + ": parameter " + e->name + " holds " + std::to_string(v) +
+                      ", expected finite numbers");
+  for (const auto& [e, tensor] : found) e->var.mutable_value() = tensor->template cast<T>();
+  return missing;
 }
 
 template class ParameterSet<float>;

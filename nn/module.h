@@ -52,8 +52,16 @@ class ParameterSet {
   /// throws  IoError listing missing, extra and mis-shaped names, or naming a parameter that holds
   ///         NaN or infinity
   void load(const TensorFile& file, const std::string& prefix, const std::string& where);
+  /// The same for a file of a model with fewer parts: those it lacks stay as they are.
+  /// returns  their names
+  /// throws   IoError as `load`, or if the file has none of the parameters
+  std::vector<std::string> load_present(const TensorFile& file, const std::string& prefix,
+                                        const std::string& where);
 
  private:
+  std::vector<std::string> take(const TensorFile& file, const std::string& prefix,
+                                const std::string& where, bool all);
+
   std::uint64_t seed_;
   std::vector<Entry> entries_;
 };

@@ -46,6 +46,28 @@ TEST_CASE("parameters are stored and loaded by name, and refused with a list") {
                        IoError);
 }
 
+TEST_CASE("parameters of a file with fewer parts are taken, the others stay") {
+  nn::ParameterSet<float> a(1), b(2), other(3);
+  a.create("w", {2, 2}, nn::Init::kaiming(2), true);
+  const Var w = b.create("w", {2, 2}, nn::Init::kaiming(2), true),
+            v = b.create("v", {1}, nn::Init::constant(7), true);
+  TensorFile file;
+  a.store(file, "model.");
+  CHECK(b.load_present(file, "model.", "f") == std::vector<std::string>{"v"});
+  for (Index i = 0; i < 4; ++i) CHECK(w.value()[i] == a.entries()[0].var.value()[i]);
+  CHECK(v.value()[0] == 7);
+  CHECK(a.load_present(file, "model.", "f").empty());
+
+  other.create("x", {1}, nn::Init::constant(0), true);  // nothing in common
+  CHECK_THROWS_WITH_AS(other.load_present(file, "model.", "f"),
+                       "f: these parameters do not fit the model; missing x; not in the model w",
+                       IoError);
+  CHECK_THROWS_AS(other.load_present(TensorFile{}, "model.", "f"), IoError);
+  file.tensors["model.w"][3] = std::nanf("");
+  CHECK_THROWS_AS(b.load_present(file, "model.", "f"), IoError);
+  CHECK(std::isfinite(w.value()[3]));
+}
+
 TEST_CASE("the probability near a height") {
   // hypotheses at 10, 12, 14, 16 m, each for the 2 m around it
   const auto hypotheses = Tensor::from({1, 4, 1, 2}, {10, 10, 12, 12, 14, 14, 16, 16});

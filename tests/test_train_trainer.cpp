@@ -2,10 +2,12 @@
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/train/loss.h"
+#include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/record.h"
 #include "satsurf/train/simulate/scene.h"
 #include "satsurf/train/trainer.h"
 
+#include <algorithm>
 #include <cmath>
 #include <fstream>
 #include <iterator>
@@ -259,4 +261,39 @@ TEST_CASE("a run that fails or stops before its first checkpoint leaves an earli
   train::train(tiny(3), data(), fresh(folder / "whole"), 4, false, {});
   CHECK(bytes_of(out / "checkpoint.safetensors") ==
         bytes_of(folder / "whole/checkpoint.safetensors"));
+}
+
+TEST_CASE("a network with more parts starts from one with fewer") {
+  const TempFolder folder("trainer-init");
+  train::train(tiny(2), data(), fresh(folder / "part"), 4, false, {});
+  TrainConfig whole = tiny(1);
+  whole.preset = "tiny_full";
+  whole.model = nn::model_preset("tiny_full");
+  whole.init = (folder / "part" / "weights.safetensors").string();
+  whole.lr = 0;  // what it starts from is what it writes
+  CHECK(needs_branch(whole));
+  CHECK_THROWS_AS(train::train(whole, data(), fresh(folder / "no"), 4, false, {}), ConfigError);
+
+  TensorFile mono;
+  store_mono(mono, nn::Mono(whole.model.mono_net, 5));
+  save_safetensors(folder / "mono.safetensors", mono);
+  whole.mono_weights = (folder / "mono.safetensors").string();
+  train::train(whole, data(), fresh(folder / "out"), 4, false, {});
+  const TensorFile part = load_safetensors(whole.init),
+                   out = load_safetensors(folder / "out" / "weights.safetensors");
+  CHECK(out.tensors.size() > part.tensors.size());
+  const auto holds = [&](const std::string& name, const Tensor& wanted) {
+    INFO(name);
+    REQUIRE(out.tensors.contains(name));
+    const Tensor& got = out.tensors.at(name);
+    REQUIRE(got.shape() == wanted.shape());
+    CHECK(std::equal(got.values().begin(), got.values().end(), wanted.data()));
+  };
+  for (const auto& [name, tensor] : part.tensors) holds(name, tensor);
+  for (const auto& [name, tensor] : mono.tensors) holds(kModelPrefix + name, tensor);
+
+  whole.init = (folder / "out" / "weights.safetensors").string();
+  CHECK_FALSE(needs_branch(whole));
+  whole.model.base = 6;
+  CHECK_THROWS_AS(train::train(whole, data(), fresh(folder / "no"), 4, false, {}), IoError);
 }

@@ -112,8 +112,7 @@ class RecentTerm {
 
 /// The branch that comes with the program, where a new run needs one and names none.
 void find_branch(TrainConfig& config, bool resume) {
-  if (resume || config.model.mono == "none" || !config.init.empty()) return;
-  if (config.mono_weights.empty())
+  if (!resume && config.mono_weights.empty() && needs_branch(config))
     config.mono_found = find_shipped("mono12.safetensors", "monocular weights", "--mono_weights");
 }
 

@@ -112,6 +112,15 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
   return crop;
 }
 
+bool needs_branch(const TrainConfig& config) {
+  if (config.model.mono == "none") return false;
+  if (config.init.empty()) return true;
+  const std::string prefix = std::string(kModelPrefix) + nn::kMonoPrefix;
+  const TensorFile file = load_safetensors(config.init);
+  return std::ranges::none_of(file.tensors,
+                              [&](const auto& item) { return item.first.starts_with(prefix); });
+}
+
 void train(const TrainConfig& config, const fs::path& data, OutputFolder out, std::uint64_t seed,
            bool resume, const StepCallback& callback, const std::function<void(double)>& reading) {
   check_fields(config, "train");
@@ -121,7 +130,7 @@ void train(const TrainConfig& config, const fs::path& data, OutputFolder out, st
   if (config.crop % multiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +
                       ", expected a multiple of " + std::to_string(multiple));
-  const bool branch = config.model.mono != "none" && !resume && config.init.empty();
+  const bool branch = !resume && needs_branch(config);
   const std::string mono = config.mono_weights.empty() ? config.mono_found : config.mono_weights;
   if (branch && mono.empty())
     throw ConfigError(

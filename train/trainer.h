@@ -38,6 +38,10 @@ struct TrainConfig : TrainingSettings, LossConfig {
   }
 };
 
+/// Whether the network has a monocular branch that `init` does not bring.
+/// throws  IoError if `init` cannot be read
+bool needs_branch(const TrainConfig& config);
+
 /// Trains on the scenes of a folder and writes `checkpoint.safetensors` (all that resuming needs),
 /// `weights.safetensors` (the model alone) and `train.jsonl`.
 /// config    all settings
@@ -49,7 +53,7 @@ struct TrainConfig : TrainingSettings, LossConfig {
 /// callback  may be empty
 /// reading   told before each scene is read which share of them has been; may throw to stop
 /// throws    IoError, ConfigError; also where the model has a monocular branch and neither `init`
-///           nor `mono_weights` says from which file: it is not trained here
+///           nor `mono_weights` names a file that has it: it is not trained here
 void train(const TrainConfig& config, const std::filesystem::path& data, OutputFolder out,
            std::uint64_t seed, bool resume, const StepCallback& callback,
            const std::function<void(double)>& reading = {});

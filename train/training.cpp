@@ -3,6 +3,7 @@
 
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/nn/adamw.h"
+#include "satsurf/train/log.h"
 #include "satsurf/train/record.h"
 
 #include <algorithm>
@@ -68,6 +69,17 @@ class Journal {
   std::ofstream out_;
 };
 
+/// Takes what a weights file has of the network.
+void start_from(const std::string& init, TrainingTask& task) {
+  const std::vector<std::string> missing =
+      task.parameters().load_present(load_safetensors(init), task.prefix(), init);
+  if (missing.empty()) return;
+  log_line(LogLevel::info, init + ": has all but " + std::to_string(missing.size()) + " of the " +
+                               std::to_string(task.parameters().entries().size()) +
+                               " parameters; " + missing.front() + " to " + missing.back() +
+                               " start as without it");
+}
+
 /// Takes network and optimiser from a checkpoint of the same run.
 void resume_from(const fs::path& checkpoint, TrainingTask& task, nn::AdamW& optimiser,
                  const nlohmann::json& config, std::uint64_t seed) {
@@ -121,7 +133,7 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
   if (resume)
     resume_from(out / "checkpoint.safetensors", task, optimiser, config, seed);
   else if (!settings.init.empty())
-    task.parameters().load(load_safetensors(settings.init), task.prefix(), settings.init);
+    start_from(settings.init, task);
   Index step = optimiser.steps();
   Journal journal(out / "train.jsonl", step);
 

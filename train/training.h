@@ -17,7 +17,7 @@ namespace satsurf::train {
 /// What every training run has, whatever network it trains.
 struct TrainingSettings {
   std::string task = "surface";  ///< which network
-  std::string init;              ///< weights file to start from, or empty for random weights
+  std::string init;  ///< weights to start from, of all or parts of the network; empty for none
   Index steps = 4000;
   Index crop = 128;  ///< window side, px
   double lr = 1e-3;
@@ -34,7 +34,9 @@ struct TrainingSettings {
       Field{.help = "network to train: the one that makes surfaces of two or more images, or the "
                     "one that sees relative heights in a single image",
             .choices = {"surface", "mono"}});
-    v("init", s.init, Field{.help = "weights to start from instead of random ones"});
+    v("init", s.init,
+      Field{.help = "weights to start from instead of random ones; parts of the network that "
+                    "the file lacks start as without it"});
     v("steps", s.steps, Field{.help = "optimiser steps", .min = 1});
     v("crop", s.crop, Field{.help = "side of the training windows", .unit = "px", .min = 8});
     v("lr", s.lr, Field{.help = "peak learning rate", .min = 0, .max = 1});
