@@ -14,6 +14,7 @@ same bits. The monocular branch is that of --mono, for all that have one.
 import argparse
 import concurrent.futures
 import csv
+import hashlib
 import json
 import os
 import re
@@ -43,6 +44,7 @@ COLUMNS = [
     ('render_target_mae', 'target MAE m', 1, 3, True),
     ('render_target_pag2.5', 'target < 2.5 m %', 100, 1, False),
     ('render_target_psnr', 'PSNR dB', 1, 2, False),
+    ('render_target_psnr_fitted', 'PSNR fitted dB', 1, 2, False),
     ('render_target_ssim', 'SSIM', 1, 3, False),
     ('render_target_lpips', 'LPIPS', 1, 3, True),
     ('mvs_source_mae', 'source MAE m', 1, 3, True),
@@ -54,6 +56,7 @@ COLUMNS = [
 ]
 
 
+CORES = len(os.sched_getaffinity(0))
 PRINTING = threading.Lock()
 
 
@@ -84,6 +87,14 @@ def train(satsurf, out, steps, arguments, log):
         return
     resume = ['--resume'] if os.path.exists(os.path.join(out, 'checkpoint.safetensors')) else ['--overwrite']
     run([satsurf, 'train', '--out', out, '--steps', str(steps), *arguments, *resume], log)
+
+
+def identity(path):
+    """What a file is, wherever it lies; nothing for no file."""
+    if not path:
+        return ''
+    with open(path, 'rb') as f:
+        return f'{os.path.basename(path)} sha256:{hashlib.sha256(f.read()).hexdigest()[:16]}'
 
 
 def file_name(variant):
@@ -166,14 +177,15 @@ def main():
     parser.add_argument('--seeds', type=int, nargs='+', default=[1, 2])
     parser.add_argument('--lpips', default='', help='LPIPS weights, for the loss and the score; neither without')
     parser.add_argument('--only', default='', help='variants whose name this regular expression finds')
-    parser.add_argument('--jobs', type=int, default=os.cpu_count(), help='runs side by side')
+    parser.add_argument('--jobs', type=int, default=CORES, help='runs side by side')
     arguments = parser.parse_args()
     if not os.access(arguments.satsurf, os.X_OK):
         sys.exit(f'experiment.py: no program {arguments.satsurf}; build satsurf or name it with --satsurf')
 
     out = arguments.out
     os.makedirs(os.path.join(out, 'scores'), exist_ok=True)
-    config = {k: getattr(arguments, k) for k in ('steps', 'crop', 'scenes', 'heldout', 'pixels', 'mono', 'lpips')}
+    config = {k: getattr(arguments, k) for k in ('steps', 'crop', 'scenes', 'heldout', 'pixels')}
+    config |= {k: identity(getattr(arguments, k)) for k in ('mono', 'lpips')}
     recorded = os.path.join(out, 'experiment.json')
     if os.path.exists(recorded):
         with open(recorded, encoding='utf-8') as f:
@@ -184,7 +196,7 @@ def main():
     with open(recorded, 'w', encoding='utf-8') as f:
         json.dump(config, f, indent=2)
 
-    threads = ['--threads', str(max(1, os.cpu_count() // arguments.jobs))]
+    threads = ['--threads', str(max(1, CORES // arguments.jobs))]
     satsurf, data, heldout = arguments.satsurf, os.path.join(out, 'train'), os.path.join(out, 'heldout')
     for folder, scenes, seed in ((data, arguments.scenes, 101), (heldout, arguments.heldout, 202)):
         if not os.path.exists(os.path.join(folder, 'run.json')):

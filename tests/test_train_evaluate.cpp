@@ -42,7 +42,7 @@ SceneScores scores(const std::string& name, double mae, double psnr_db) {
   s.dsm.registered.mae = mae, s.dsm.registered.pag2_5 = 0.5;
   s.dsm.raw.mae = 2 * mae;
   s.dsm.shift = {0, 0, -1.5};
-  s.target.psnr = psnr_db, s.target.ssim = 0.75;
+  s.target.psnr = psnr_db, s.target.psnr_fitted = psnr_db + 2, s.target.ssim = 0.75;
   s.registered[2].filled.mae = 3 * mae, s.registered[2].shift = {0.5, -1, 2};
   return s;
 }
@@ -111,7 +111,7 @@ TEST_CASE("scores of a data set") {
   const auto rows = lines_of(csv);
   REQUIRE(rows.size() == 4);
   const std::vector<std::string> names = cells_of(rows[0]);
-  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 2 * 6 + 6);
+  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 2 * 6 + 7);
   for (const std::string& row : rows) CHECK(cells_of(row).size() == names.size());
   REQUIRE(j["mean"].size() == names.size() - 1);
   Index column = 1;
@@ -125,6 +125,7 @@ TEST_CASE("scores of a data set") {
   CHECK(cells_of(rows[2])[at("render_target_psnr")].empty());
   CHECK(cells_of(rows[3])[at("dsm_filled_xyz_mae")] == "6");
   CHECK(cells_of(rows[3])[at("render_target_psnr")] == "20");
+  CHECK(cells_of(rows[1])[at("render_target_psnr_fitted")] == "22");
   CHECK(cells_of(rows[3])[at("render_target_lpips")].empty());
   CHECK(j["mean"]["render_target_ssim"] == 0.75);
   CHECK(j["mean"]["render_target_lpips"].is_null());

@@ -3,6 +3,7 @@
 #include "satsurf/core/rng.h"
 #include "satsurf/train/metrics.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -56,6 +57,37 @@ TEST_CASE("psnr") {
         "psnr: reference has shape [3,2,1], expected [C H W] with C=3 from image, H=2 "
         "from image, W=2 from image",
         ShapeError);
+  }
+}
+
+TEST_CASE("fit_colours") {
+  const Index P = 4 * 5;
+  Rng rng(4);
+  const auto image = uniform_tensor<float>({3, 4, 5}, rng, 0.f, 1.f);
+  auto reference = Tensor::uninitialised({3, 4, 5});
+  for (Index i = 0; i < P; ++i)
+    for (Index c = 0; c < 3; ++c)  // from two channels and a constant
+      reference[c * P + i] = 0.1f + 0.5f * image[c * P + i] + 0.2f * image[(c + 1) % 3 * P + i];
+  SUBCASE("an affine map is found") {
+    CHECK(psnr(image, reference) < 30);
+    CHECK(psnr(fit_colours(image, reference), reference) > 120);
+  }
+  SUBCASE("what the mask hides has no say, and is mapped all the same") {
+    auto mask = Tensor({4, 5}, 1.f);
+    auto spoilt = reference.clone();
+    for (Index i = 0; i < 3; ++i) mask[i] = 0, spoilt[i] = 9;
+    CHECK(psnr(fit_colours(image, spoilt, mask), reference) > 120);
+    const Tensor same = fit_colours(image, spoilt, Tensor({4, 5}));
+    CHECK(std::equal(same.values().begin(), same.values().end(), image.data()));
+  }
+  SUBCASE("grey pictures leave the map open, not the result") {
+    auto grey = Tensor::uninitialised({3, 4, 5}), darker = Tensor::uninitialised({3, 4, 5});
+    for (Index i = 0; i < 3 * P; ++i) grey[i] = image[i % P], darker[i] = 0.5f * image[i % P];
+    CHECK(psnr(fit_colours(grey, darker), darker) > 120);
+  }
+  SUBCASE("sizes must agree") {
+    CHECK_THROWS_AS(fit_colours(image, Tensor({1, 4, 5})), ShapeError);
+    CHECK_THROWS_AS(fit_colours(image, reference, Tensor({5, 4})), ShapeError);
   }
 }
 

@@ -96,6 +96,7 @@ void run_evaluate_image(const EvaluateImageOptions& options) {
     for (const fs::path& file : inputs) record.add_input(file);
     nlohmann::ordered_json j{{"psnr", json_number(s.psnr)},
                              {"psnr_infinite", std::isinf(s.psnr)},
+                             {"psnr_fitted", json_number(s.psnr_fitted)},
                              {"ssim", json_number(s.ssim)},
                              {"ssim_conv", json_number(s.ssim_conv)},
                              {"lpips", s.lpips ? json_number(*s.lpips) : nullptr},
@@ -114,6 +115,7 @@ void run_evaluate_image(const EvaluateImageOptions& options) {
     print_none("PSNR", "infinite", "no pixel differs");
   else
     print("PSNR", s.psnr, " dB");
+  if (std::isfinite(s.psnr_fitted)) print("PSNR fitted", s.psnr_fitted, " dB, colours matched");
   if (std::isnan(s.ssim))
     print_none("SSIM", "-", "no pixel counts 5 px or more off the borders");
   else

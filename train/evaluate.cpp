@@ -224,7 +224,8 @@ SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
   score_dsm(made, *scene.truth, mask, options.registration, out, confidence);
   if (options.meshes) out.mesh = score_meshes(made, scene, mask, out.dsm.shift);
   out.render_target = score_heights(Tensor({1, 1}, kNan), Tensor({1, 1}, kNan));  // none so far
-  out.target.psnr = out.target.ssim = out.target.ssim_conv = std::nan("");
+  out.target.psnr = out.target.psnr_fitted = std::nan("");
+  out.target.ssim = out.target.ssim_conv = std::nan("");
   score_views(model, scene, options, sources, out, confidence);
   return out;
 }

@@ -128,7 +128,8 @@ nlohmann::ordered_json scores_json(const DataScores& scores);
 ///   dsm_none, dsm_z, dsm_xyz             the DSM by each registration; then also _east, _north, _up
 ///   dsm_filled_none, .._z, .._xyz        the same with holes filled
 /// then mesh_chamfer, mesh_to_reference, mesh_reference_to_mesh (m), mesh_f1_0.5, _f1_1, _f1_2.5,
-/// the same as mesh_without_walls_*, mvs_source_rmse_per_view, render_target_psnr, _ssim, _ssim_conv, _lpips, and seconds.
+/// the same as mesh_without_walls_*, mvs_source_rmse_per_view, render_target_psnr,
+/// _psnr_fitted, _ssim, _ssim_conv, _lpips, and seconds.
 std::string scores_csv(const std::vector<SceneScores>& scores);
 
 }  // namespace satsurf::train

@@ -67,6 +67,7 @@ Row row_of(const SceneScores& s) {
   add_mesh(row, "mesh_without_walls", s.mesh ? s.mesh->without_walls : none_compared());
   row.push_back({"mvs_source_rmse_per_view", s.mvs_source_rmse_per_view});
   row.push_back({"render_target_psnr", s.target.psnr});
+  row.push_back({"render_target_psnr_fitted", s.target.psnr_fitted});
   row.push_back({"render_target_ssim", s.target.ssim});
   row.push_back({"render_target_ssim_conv", s.target.ssim_conv});
   row.push_back({"render_target_lpips", s.target.lpips.value_or(std::nan(""))});
@@ -162,6 +163,7 @@ nlohmann::ordered_json scores_json(const std::vector<SceneScores>& scores) {
          {"render_target", scores_json(s.render_target)},
          {"mesh", s.mesh ? scores_json(*s.mesh) : nlohmann::ordered_json(nullptr)},
          {"render_target_psnr", json_number(s.target.psnr)},
+         {"render_target_psnr_fitted", json_number(s.target.psnr_fitted)},
          {"render_target_ssim", json_number(s.target.ssim)},
          {"render_target_ssim_conv", json_number(s.target.ssim_conv)},
          {"render_target_lpips", json_number(s.target.lpips.value_or(std::nan("")))},

@@ -49,6 +49,7 @@ ImageScores score_images(const Tensor& image, const Tensor& reference, const Ten
   const NoGrad no_grad;
   ImageScores scores;
   scores.psnr = psnr(a, b, mask);
+  scores.psnr_fitted = psnr(fit_colours(a, b, mask), b, mask);
   const BasicVar<double> x(a.cast<double>());
   const auto y = b.cast<double>(), counts = mask.cast<double>();
   const auto similarity = [&](SsimKind kind, Index border) {

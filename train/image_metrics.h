@@ -12,6 +12,7 @@ namespace satsurf::train {
 /// exist is NaN.
 struct ImageScores {
   double psnr = 0;              ///< dB, see `psnr` of train/metrics.h; infinite for equal images
+  double psnr_fitted = 0;       ///< the same after `fit_colours`
   double ssim = 0;              ///< SsimKind::skimage; NaN for images of less than 11 px
   double ssim_conv = 0;         ///< SsimKind::conv
   std::optional<double> lpips;  ///< none without a network

@@ -9,6 +9,8 @@
 #include <limits>
 #include <vector>
 
+#include <Eigen/QR>
+
 namespace satsurf::train {
 namespace {
 
@@ -128,6 +130,35 @@ double psnr(const Tensor& image, const Tensor& reference, const Tensor& mask) {
     sum += d * d, n += 1;
   }
   return n > 0 ? -10 * std::log10(sum / n) : kNan;
+}
+
+Tensor fit_colours(const Tensor& image, const Tensor& reference, const Tensor& mask) {
+  Dims dim("fit_colours");
+  dim.match("image", image, "C H W").match("reference", reference, "C H W");
+  if (!mask.empty()) dim.match("mask", mask, "H W");
+  const Index C = dim["C"], P = dim["H"] * dim["W"];
+
+  // normal equations of [colours, 1] M = reference
+  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(C + 1, C + 1), B = Eigen::MatrixXd::Zero(C + 1, C);
+  Eigen::VectorXd x = Eigen::VectorXd::Ones(C + 1), y(C);
+  for (Index i = 0; i < P; ++i) {
+    if (!counts(mask, i)) continue;
+    for (Index c = 0; c < C; ++c)
+      x[c] = static_cast<double>(image[c * P + i]),
+      y[c] = static_cast<double>(reference[c * P + i]);
+    A.noalias() += x * x.transpose();
+    B.noalias() += x * y.transpose();
+  }
+  if (A(C, C) == 0) return image;
+  const Eigen::MatrixXd M = A.completeOrthogonalDecomposition().solve(B);  // grey has rank 2
+
+  auto out = Tensor::uninitialised(image.shape());
+  for (Index i = 0; i < P; ++i) {
+    for (Index c = 0; c < C; ++c) x[c] = static_cast<double>(image[c * P + i]);
+    y.noalias() = M.transpose() * x;
+    for (Index c = 0; c < C; ++c) out[c * P + i] = static_cast<float>(y[c]);
+  }
+  return out;
 }
 
 HeightScores score_heights(const Tensor& prediction, const Tensor& truth, const Tensor& mask) {

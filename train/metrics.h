@@ -15,6 +15,15 @@ namespace satsurf::train {
 /// returns           dB; infinite for equal images, NaN where nothing is compared
 double psnr(const Tensor& image, const Tensor& reference, const Tensor& mask = {});
 
+/// The picture after the affine map of its colours that brings it nearest to another: least squares
+/// over the pixels that count, every channel of the reference from all of the picture's and a
+/// constant. Takes out what two dates' light and sensor differ in as a whole.
+/// image, reference  [C H W]
+/// mask              [H W], zero where a pixel does not count; empty for all
+/// returns           [C H W]; the picture itself where no pixel counts
+/// throws            ShapeError
+Tensor fit_colours(const Tensor& image, const Tensor& reference, const Tensor& mask = {});
+
 /// How far predicted heights are from true ones. "Compared" cells have both; "truth" cells have a
 /// true height and are not masked out. PAG_t is the share of cells with |error| < t, strictly.
 struct HeightScores {
