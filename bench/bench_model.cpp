@@ -5,6 +5,7 @@
 #include "satsurf/nn/feature_net.h"
 #include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/model.h"
+#include "satsurf/nn/mono.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/cost_volume.h"
@@ -12,8 +13,10 @@
 #include "satsurf/ops/loss.h"
 #include "satsurf/ops/softmax.h"
 
+#include <array>
 #include <fstream>
 #include <string>
+#include <utility>
 
 #include "tests/affine_scene.h"
 
@@ -52,15 +55,47 @@ double head_multiply_adds(double channels, double width, double P) {
   return P * (9 * width * (channels + 2 * width) + width * nn::SurfelHead<float>::kOutputs);
 }
 
+/// The same for an image of P pixels, as in nn/mono.cpp.
+double mono_multiply_adds(const nn::MonoConfig& c, double P) {
+  constexpr std::array<double, 6> kWidths{1, 2, 4, 6, 8, 8};
+  constexpr std::array<double, 5> kSame{0, 1, 1, 1, 2};
+  const double b = number(c.base);
+  double sum = P * 9 * (3 * b + b);
+  for (std::size_t l = 0; l < kSame.size(); ++l, P /= 4) {
+    const double wide = kWidths[l] * b, deep = kWidths[l + 1] * b;
+    sum +=
+        P / 4 * (16 * wide * deep + kSame[l] * 9 * deep * deep + deep * wide) + P * 9 * wide * wide;
+  }
+  return sum;
+}
+
+/// What the modules beside search and head add to a stage of P pixels, as in nn/fusion.cpp,
+/// nn/guidance.cpp and the context of nn/cost_net.cpp.
+double module_multiply_adds(const nn::ModelConfig& c, std::size_t stage, double channels,
+                            double head_in, double P) {
+  double sum = 0;
+  if (c.context == "reference") sum += P / 4 * 16 * channels * 2 * number(c.volume_base);
+  if (stage == 0) return sum;
+  if (c.fusion == "cmmf") {
+    const double mono = number(c.mono_net.base * (stage == 1 ? 2 : 1));
+    sum += P * channels * (3 * channels + 2 * mono);
+  }
+  constexpr double kHidden = 32;
+  if (c.guidance == "csrg") sum += P * kHidden * (2 * 9 * head_in + 3 + head_in);
+  return sum;
+}
+
 double stage_multiply_adds(const nn::ModelConfig& c, std::size_t stage, double side) {
   const double channels = number(c.base * kStrides[stage]), D = number(c.hypotheses[stage]),
                P = side * side / number(kStrides[stage] * kStrides[stage]);
   return cost_multiply_adds(c, channels, D * P) +
-         head_multiply_adds(3 + channels + D + 1, number(c.head_width[stage]), P);
+         head_multiply_adds(3 + channels + D + 1, number(c.head_width[stage]), P) +
+         module_multiply_adds(c, stage, channels, 3 + channels + D, P);
 }
 
 Cost model_cost(const nn::ModelConfig& c, Index views, Index side) {
   double sum = feature_multiply_adds(c, number(side * side));
+  if (c.mono != "none") sum += mono_multiply_adds(c.mono_net, number(side * side));
   for (std::size_t s = 0; s < 3; ++s) sum += stage_multiply_adds(c, s, number(side));
   return {.flop = 2 * number(views) * sum};
 }
@@ -87,12 +122,24 @@ void time_and_weigh(benchmark::State& state, const Cost& cost, const Work& work)
   state.counters["process_MB"] = peak_memory_bytes() * 1e-6;
 }
 
-void cascade_infer(benchmark::State& state) {
-  const nn::Model model(nn::model_preset("cascade8"), 1);
+/// All of a preset, from images to surfels.
+void infer(benchmark::State& state, const std::string& preset) {
+  const nn::Model model(nn::model_preset(preset), 1);
   const auto scene = bench_scene(state.range(1));
   const NoGrad no_grad;
   time_and_weigh(state, model_cost(model.config(), state.range(0), state.range(1)),
                  [&] { benchmark::DoNotOptimize(model.forward(scene)[2].height.value().data()); });
+}
+
+void mono_infer(benchmark::State& state) {
+  const nn::MonoConfig config = nn::model_preset("base8").mono_net;
+  nn::ParameterSet<float> parameters(1);
+  const nn::MonoNet<float> mono(parameters, "", config);
+  const Index N = state.range(0), side = state.range(1);
+  const Var images = normal({N, 3, side, side});
+  const NoGrad no_grad;
+  time_and_weigh(state, {.flop = 2 * number(N) * mono_multiply_adds(config, number(side * side))},
+                 [&] { benchmark::DoNotOptimize(mono(images).height.value().data()); });
 }
 
 void features_infer(benchmark::State& state) {
@@ -147,13 +194,16 @@ void stage_infer(benchmark::State& state) {
 }
 
 /// Forward, losses at all stages, a rendered view, backward, update.
-void train_step(benchmark::State& state) {
-  nn::Model model(nn::model_preset("cascade8"), 1);
+void train_step(benchmark::State& state, const std::string& preset) {
+  nn::Model model(nn::model_preset(preset), 1);
   nn::AdamW adam(model.parameters(), {});
   const Index side = state.range(1);
   const auto scene = bench_scene(side);
   Cost cost = model_cost(model.config(), state.range(0), side);
   cost.flop *= 3;
+  if (model.config().mono != "none")  // frozen: only forward
+    cost.flop -= 4 * number(state.range(0)) *
+                 mono_multiply_adds(model.config().mono_net, number(side * side));
   time_and_weigh(state, cost, [&] {
     model.parameters().clear_grads();
     Var total;
@@ -184,9 +234,20 @@ void add_model_rows() {
           ->ArgNames({"views", "stage", "side"})
           ->Args({3, stage, side});
   for (const std::int64_t side : {256, 512, 1024})
-    benchmark::RegisterBenchmark("cascade_infer", cascade_infer)->ArgNames(names)->Args({3, side});
-  for (const std::int64_t side : {128, 256})
-    benchmark::RegisterBenchmark("train_step", train_step)->ArgNames(names)->Args({3, side});
+    benchmark::RegisterBenchmark("mono_infer", mono_infer)->ArgNames(names)->Args({3, side});
+  // matching alone, and the whole method
+  const std::pair<std::string, std::string> presets[]{{"cascade", "cascade8"}, {"method", "base8"}};
+  for (const auto& [name, preset] : presets) {
+    const auto infers = [preset](benchmark::State& state) { infer(state, preset); };
+    for (const std::int64_t side : {256, 512, 1024})
+      benchmark::RegisterBenchmark((name + "_infer").c_str(), infers)
+          ->ArgNames(names)
+          ->Args({3, side});
+    const auto trains = [preset](benchmark::State& state) { train_step(state, preset); };
+    const std::string row = name == "cascade" ? "train_step" : name + "_train_step";
+    for (const std::int64_t side : {128, 256})
+      benchmark::RegisterBenchmark(row.c_str(), trains)->ArgNames(names)->Args({3, side});
+  }
 }
 
 }  // namespace satsurf::bench
