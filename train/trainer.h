@@ -14,7 +14,7 @@ namespace satsurf::train {
 
 /// Everything the training of the surface network depends on besides data and seed.
 struct TrainConfig : TrainingSettings, LossConfig {
-  std::string preset = "cascade8";  ///< starting point of `model` and of the losses
+  std::string preset = "base8";  ///< starting point of `model` and of the losses
   nn::ModelConfig model;
   std::string mono_weights;   ///< of the monocular branch, from `--task mono`; see `train`
   std::string mono_found;     ///< the file where `mono_weights` is empty; no field, not recorded
@@ -63,7 +63,8 @@ void train(const TrainConfig& config, const std::filesystem::path& data, OutputF
 nn::Model load_model(const std::filesystem::path& path);
 /// Writes the model alone, whole or not at all.
 /// origin  further metadata: where the weights come from. `train` writes `train` (the configuration
-///         of the run), `seed`, `step` (those done), `scenes` (trained on), `version` and `git`
+///         of the run, other files by name), `seed`, `step` (those done), `scenes` (trained on),
+///         `version` and `git`
 /// throws  IoError
 void save_model(const std::filesystem::path& path, const nn::Model& model,
                 const std::map<std::string, std::string>& origin = {});

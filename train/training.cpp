@@ -69,6 +69,14 @@ class Journal {
   std::ofstream out_;
 };
 
+/// The configuration for files that are handed on: other files by name, not where they lie here.
+nlohmann::json without_folders(nlohmann::json config) {
+  for (const char* field : {"init", "mono_weights", "lpips_weights"})
+    if (const auto it = config.find(field); it != config.end())
+      *it = fs::path(it->get<std::string>()).filename().string();
+  return config;
+}
+
 /// Takes what a weights file has of the network.
 void start_from(const std::string& init, TrainingTask& task) {
   const std::vector<std::string> missing =
@@ -146,6 +154,7 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
     TensorFile all = file;
     optimiser.store(all);
     save_safetensors(out / "checkpoint.safetensors", all);
+    file.metadata["train"] = without_folders(config).dump();
     save_safetensors(out / "weights.safetensors", file);
   };
 
