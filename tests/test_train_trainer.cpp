@@ -188,8 +188,6 @@ TEST_CASE("samples are a function of seed and step, and loss terms of their swit
   LossConfig none = appearance;
   none.routing = "none";
   const LossContext warm{.step = 5, .seed = 3}, late{.step = 100'000, .seed = 3};
-  CHECK(total(appearance, late) == doctest::Approx(total(none, late)));  // its gradients do not
-  appearance.colour_everywhere = false;
   CHECK(total(appearance, warm) == doctest::Approx(total(none, late)));
   CHECK(total(appearance, late) < 0.9 * total(none, late));
   const double routed = total(geometry, late);
@@ -205,62 +203,6 @@ TEST_CASE("samples are a function of seed and step, and loss terms of their swit
   CHECK(total(geometry, {.step = 100'001, .seed = 3}) != total(geometry, late));  // other patches
   geometry.geo_weight = 0;
   CHECK_THROWS_AS(total(geometry, late), Error);
-}
-
-TEST_CASE("in doubtful pixels appearance reaches the surfels' colours alone") {
-  std::vector<Scene> scenes;
-  for (const std::string& name : list_scenes(data())) scenes.push_back(load_scene(data(), name));
-  TrainConfig config = tiny(1);
-  config.model = nn::model_preset("tiny_full");
-  config.height_weight = config.geo_weight = config.render_height_weight = 0;
-  config.stage_weight = {0, 0, 1};
-  config.appearance_warmup = 0;
-  const Crop crop = training_sample(config, scenes, 7, 3);
-  const nn::Model model(config.model, 1);
-  struct Gradients {
-    double loss, means, opacity, colours;
-  };
-  const auto gradients = [&](double tau, bool everywhere) {
-    auto stages = model.forward(crop.input);
-    nn::StageOutput<float>& last = stages[2];
-    // leaves of their own, so that nothing but the rendering lies between them and the loss
-    for (Var* part : {&last.surfels.means, &last.surfels.opacity, &last.surfels.colours})
-      *part = Var(part->value().clone(), true);
-    Tensor sure(last.surfels.aux.shape());  // of the first view alone
-    for (Index i = 0; i < sure.count() / 3; ++i) sure[i] = 1;
-    last.surfels.aux = Var(sure);
-    LossConfig with = config;
-    with.routing_tau = tau;
-    with.colour_everywhere = everywhere;
-    const Var loss = training_loss(with, config.model, stages, crop).total;
-    loss.backward();
-    const auto size = [](const Var& v) {
-      double sum = 0;
-      for (const float g : v.grad().values()) sum += std::abs(static_cast<double>(g));
-      return sum;
-    };
-    return Gradients{static_cast<double>(loss.value().item()), size(last.surfels.means),
-                     size(last.surfels.opacity), size(last.surfels.colours)};
-  };
-  config.routing = "none";
-  const Gradients open = gradients(0, true);
-  config.routing = "cbrl";
-  const Gradients shut = gradients(1, true);
-  CHECK(open.means > 0);
-  CHECK(open.opacity > 0);
-  CHECK(shut.loss == doctest::Approx(open.loss));
-  CHECK(shut.means == 0);
-  CHECK(shut.opacity == 0);
-  CHECK(shut.colours == doctest::Approx(open.colours));
-  const Gradients published = gradients(1, false);
-  CHECK(published.loss == 0);
-  CHECK(published.colours == 0);
-  // between the two, some of each
-  const Gradients some = gradients(0.5, true);
-  CHECK(some.loss == doctest::Approx(open.loss));
-  CHECK(some.colours == doctest::Approx(open.colours));
-  CHECK(some.means > 0);
-  CHECK(some.means != doctest::Approx(open.means));
 }
 
 TEST_CASE("resuming with another configuration or seed is refused") {

@@ -120,24 +120,6 @@ struct StageLoss {
                            config.lpips_weight > 0 || config.render_height_weight > 0);
   }
 
-  /// A rendered picture whose gradients reach all of the surfels in pixels of the mask, elsewhere
-  /// their colours alone.
-  Var shielded(const Var& colour, const Tensor& mask) const {
-    splat::Surfels paint = stage.surfels;
-    for (Var* part : {&paint.means, &paint.quats, &paint.scales, &paint.opacity})
-      *part = part->detach();
-    paint.aux = {};
-    const nn::View& view = *crop.target;
-    const Var painted = nn::render_view(paint, view.pixel_from_local, view.rgb.dim(1),
-                                        view.rgb.dim(2), stage.stride)
-                            .colour;
-    const Index P = mask.count();
-    Tensor inside(colour.shape()), outside(colour.shape());
-    for (Index i = 0; i < colour.count(); ++i)
-      inside[i] = mask[i % P], outside[i] = 1 - mask[i % P];
-    return colour * Var(inside) + painted * Var(outside);
-  }
-
   /// L_app and the rendered height. Returns the PSNR over opaque pixels and the share of them that
   /// appearance is routed to.
   std::pair<double, double> add_target(Var& total, double weight) const {
@@ -159,25 +141,21 @@ struct StageLoss {
       }
     }
     const double count = sum_of(opaque);
-    const Tensor confident = route(confidence, opaque).appearance;
-    const double share = count > 0 ? sum_of(confident) / count : 0;
-    const bool everywhere = config.colour_everywhere && share < 1;
-    const Tensor mask = everywhere ? opaque : confident;
-    const Var colour = everywhere ? shielded(render.colour, confident) : render.colour;
+    const Tensor mask = route(confidence, opaque).appearance;
+    const double share = count > 0 ? sum_of(mask) / count : 0;
 
-    // The terms are means over the mask; its share makes them means over all opaque pixels.
-    const double part = weight * (everywhere ? 1 : share);
+    // The terms are means over the mask; their share makes them means over all opaque pixels.
     if (config.colour_weight > 0) {
       Tensor mask3({3, h, w});
       for (Index i = 0; i < 3 * P; ++i) mask3[i] = mask[i % P];
-      add_term(total, mse(colour, image, mask3), part * config.colour_weight);
+      add_term(total, mse(render.colour, image, mask3), weight * share * config.colour_weight);
     }
     if (config.ssim_weight > 0)
-      add_term(total, affine(ssim(colour, image, SsimKind::conv, mask), -1.f, 1.f),
-               part * config.ssim_weight);
+      add_term(total, affine(ssim(render.colour, image, SsimKind::conv, mask), -1.f, 1.f),
+               weight * share * config.ssim_weight);
     if (config.lpips_weight > 0 && context.lpips != nullptr &&
         std::min(h, w) >= context.lpips->smallest_side())
-      add_term(total, (*context.lpips)(colour, image, mask), weight * config.lpips_weight);
+      add_term(total, (*context.lpips)(render.colour, image, mask), weight * config.lpips_weight);
     if (!crop.target_truth.empty() && config.render_height_weight > 0) {
       const Tensor truth = subsampled(crop.target_truth, stage.stride);
       Tensor known({h, w});
@@ -204,7 +182,6 @@ LossConfig loss_preset(const std::string& name) {
   if (name == "paper") {
     c.height_weight = c.render_height_weight = 0;
     c.appearance_warmup = 0;
-    c.colour_everywhere = false;
   } else if (name == "cascade8" || name == "tiny") {
     unrouted();
   } else if (name == "mvsplat_like") {

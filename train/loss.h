@@ -26,7 +26,6 @@ struct LossConfig {
   std::string lpips_weights;          ///< its network; without a file the term is off
   std::string routing = "cbrl";       ///< of Pearson and appearance losses: none | cbrl
   double routing_tau = 0.2;           ///< confidence that parts them
-  bool colour_everywhere = true;      ///< colours learn from doubtful pixels, too
   Index appearance_warmup = 200;      ///< steps in which appearance counts everywhere
 
   template <class Self, class V>
@@ -55,9 +54,6 @@ struct LossConfig {
             .choices = {"none", "cbrl"}});
     v("routing_tau", s.routing_tau,
       Field{.help = "confidence that parts them", .min = 0, .max = 1});
-    v("colour_everywhere", s.colour_everywhere,
-      Field{.help = "appearance teaches the surfels' colours in all pixels, their shape and place "
-                    "in the confident ones"});
     v("appearance_warmup", s.appearance_warmup,
       Field{.help = "steps in which appearance counts everywhere", .min = 0});
   }
@@ -92,10 +88,7 @@ struct LossReport {
 /// with the true heights of the sources, and colour and height rendered in the target view; the
 /// target's terms count only where the rendered surface is opaque (alpha > 0.5). The masks m route
 /// pixels by confidence (train/routing.h), that of the target rendered like its colours; means are
-/// over all valid pixels, so routing weighs the losses against each other. As published m_app leaves
-/// pixels out. With `colour_everywhere` it stops gradients instead: L_app is over all opaque pixels,
-/// but where m_app is 0 it reaches the colours of the surfels alone. What hides or reflects there
-/// may be painted, but moves nothing.
+/// over all valid pixels, so routing weighs the losses against each other.
 /// Source: SatSurfGS, confidence-based routing of losses; the terms of H* are ours.
 /// config   weights
 /// model    of the network: how confidence is read
