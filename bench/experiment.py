@@ -8,8 +8,8 @@ them on the same held-out scenes and writes the table.
 Goes on where it stopped: whatever OUT already holds is not made again. OUT/experiment.json is the configuration; another
 one needs another OUT. OUT/table.md and OUT/table.json hold the scores, means over scenes and seeds with the spread of
 the seeds, and how the whole method compares with each other variant, also scene by scene: one scene can have more say in
-a mean than all others. Runs go side by side, a core each: that takes a fifth less time than one after the other, and any number of threads gives the
-same bits. The monocular branch is that of --mono, for all that have one.
+a mean than all others. Runs go side by side, a core each: that takes a fifth less time than one after the other, and any
+number of threads gives the same bits. The monocular branch is that of --mono, for all that have one.
 """
 import argparse
 import concurrent.futures
