@@ -28,16 +28,16 @@ struct ModelConfig {
   std::string rotation = "camera+residual";
   std::string mono = "own";  ///< monocular branch: none | own (nn/mono.h)
   MonoConfig mono_net{};
-  std::string fusion = "cmmf";         ///< how its features join: none | naive | cmmf (nn/fusion.h)
-  std::string fusion_start = "gated";  ///< of cmmf: paper | gated | additive
-  double fusion_lambda = 1;            ///< weight of the confidence in cmmf
-  double fusion_tau = 0.2;             ///< confidence that favours neither side
+  std::string fusion = "cmmf";  ///< how its features join: none | naive | cmmf (nn/fusion.h)
+  std::string fusion_start = "additive";  ///< of cmmf: paper | gated | additive
+  double fusion_lambda = 1;               ///< weight of the confidence in cmmf
+  double fusion_tau = 0.2;                ///< confidence that favours neither side
   std::string guidance = "csrg";  ///< of a stage by the one before: none | csrg (nn/guidance.h)
   std::string guidance_norm = "robust";  ///< robust | interval
   std::string keep =
       "last";  ///< surfels of a stage: last (its own) | all (the stages' before, too)
-  /// What fusion, loss routing, surfels and confidence maps read (`effective_confidence`): raw, the
-  /// published C = max P | floor, (C - 1/D) / (1 - 1/D) | joint.
+  /// The one confidence that fusion, guidance, surfel heads, loss routing and confidence maps read
+  /// (`effective_confidence`): raw, the published C = max P | floor, (C - 1/D) / (1 - 1/D) | joint.
   std::string confidence = "joint";
 
   template <class Self, class V>
@@ -92,7 +92,7 @@ struct ModelConfig {
       Field{.help = "whose surfels a stage hands on: its own or all so far",
             .choices = {"last", "all"}});
     v("confidence", s.confidence,
-      Field{.help = "confidence that fusion, loss routing and surfels read",
+      Field{.help = "confidence that fusion, guidance, surfels and loss routing read",
             .choices = {"raw", "floor", "joint"}});
   }
 

@@ -16,7 +16,7 @@ namespace satsurf::nn {
 /// with 1 x 1 convolutions q, k, v and d the channels of F. By `fusion_start` of the configuration:
 ///   paper     as it stands, v_o zero at the start: then F' = (1 - W) v_m(F)
 ///   gated     a learned offset of -4 to begin with goes to l_mono, v_m starts as the identity and q
-///             at zero: F' = F within 3 %
+///             at zero: F' = F within 3 %. The gate hardly opens: after 2400 steps W was 0.02 still
 ///   additive  F' = v_m(F) + W v_o(M), v_m the identity and v_o zero at the start: F' = F then, and
 ///             W as published from the first step on
 /// `naive` fusion is one 1 x 1 convolution of F and M stacked.

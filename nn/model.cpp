@@ -331,7 +331,8 @@ class BasicModel<T>::Parts::Pass {
 
   /// What the surface of the stage before, rendered into the source views, tells this one; empty
   /// without guidance.
-  BasicVar<T> residual(std::size_t s, const BasicVar<T>& image, const BasicTensor<T>& seen) const {
+  BasicVar<T> residual(std::size_t s, const BasicVar<T>& image, const BasicTensor<T>& sure,
+                       const BasicTensor<T>& seen) const {
     if (!net_.stages[s].guidance) return {};
     const NoGrad no_grad;
     const StageOutput<T>&stage = out_[s], &previous = out_[s - 1];
@@ -349,8 +350,8 @@ class BasicModel<T>::Parts::Pass {
     if (photometric) return BasicVar<T>(photometric_residual(image.value(), seen, rendered, alpha));
     const GuidanceNorm norm =
         config_.guidance_norm == "interval" ? GuidanceNorm::interval : GuidanceNorm::robust;
-    return BasicVar<T>(guidance_residual(stage.height.value(), stage.confidence.value(), seen,
-                                         rendered, alpha, norm, stage.interval));
+    return BasicVar<T>(
+        guidance_residual(stage.height.value(), sure, seen, rendered, alpha, norm, stage.interval));
   }
 
   /// One surfel per pixel.
@@ -358,7 +359,10 @@ class BasicModel<T>::Parts::Pass {
     StageOutput<T>& stage = out_[s];
     const auto& guidance = net_.stages[s].guidance;
     const BasicVar<T> image = downsampled(images_, stage.stride);
-    const BasicVar<T> rendered = residual(s, image, seen);
+    const BasicVar<T> sure = config_.confidence == "raw"
+                                 ? stage.confidence
+                                 : BasicVar<T>(effective_confidence(config_, stage));
+    const BasicVar<T> rendered = residual(s, image, sure.value(), seen);
     std::vector<BasicVar<T>> raw;
     for (Index i = 0; i < views_; ++i) {
       polled();
@@ -368,16 +372,15 @@ class BasicModel<T>::Parts::Pass {
         const BasicVar<T> plain = concat(std::exchange(input, {}), 1);
         input.push_back((*guidance)(plain, of_view(rendered, i)));
       }
-      input.push_back(reshape(of_view(stage.confidence, i), Shape{1, 1, height(s), width(s)}));
+      input.push_back(reshape(of_view(sure, i), Shape{1, 1, height(s), width(s)}));
       raw.push_back(net_.stages[s].head(concat(input, 1)));
     }
     const double z_mid = 0.5 * (scene_.z_low + scene_.z_high);
     std::vector<PixelGeometry> geometry;
     for (const View& v : scene_.sources) geometry.push_back(pixel_geometry(v, z_mid, stage.stride));
     const BasicVar<T> all = concat(std::exchange(raw, {}), 0);
-    stage.surfels = surfels_from_maps(all, stage.height, image.value(),
-                                      BasicVar<T>(effective_confidence(config_, stage)), geometry,
-                                      rotation_of(config_));
+    stage.surfels = surfels_from_maps(all, stage.height, image.value(), BasicVar<T>(sure.value()),
+                                      geometry, rotation_of(config_));
     if (s > 0 && config_.keep == "all") stage.surfels = joined(stage.surfels, out_[s - 1].surfels);
   }
 

@@ -38,7 +38,7 @@ struct StageOutput {
 
 inline constexpr const char* kMonoPrefix = "mono.";
 
-/// A stage's confidence as everything but the surfel head reads it, by `ModelConfig::confidence`:
+/// A stage's confidence as all that asks for one reads it, by `ModelConfig::confidence`:
 ///   raw    C_s = max P_s as published. Says how sharp a peak is within what the stage searches: it
 ///          is high, too, where the surface lies beyond and the nearest hypothesis takes it all.
 ///   floor  the same with the floor taken off that equal probabilities have, (C - 1/D) / (1 - 1/D)

@@ -162,7 +162,9 @@ BasicVar<double> smooth_objective(const nn::BasicModel<double>& model,
 
 TEST_CASE("whole-model gradient in double") {
   Rng rng(5);
-  const auto model = awake(nn::model_preset("tiny"), rng);
+  nn::ModelConfig config = nn::model_preset("tiny");
+  config.confidence = "raw";  // the others reach the heads without a gradient
+  const auto model = awake(config, rng);
   const auto scene = hill(16);
   const auto heights_only = [&] { return smooth_objective(model, scene); };
   heights_only().backward();
@@ -194,6 +196,7 @@ TEST_CASE("gradients of fusion and guidance reach the last stage's parameters in
   for (const std::string start : {"paper", "gated", "additive", "naive", "guidance"}) {
     CAPTURE(start);
     nn::ModelConfig config = nn::model_preset("tiny_full");
+    config.confidence = "raw";  // the others reach the heads without a gradient
     if (start == "guidance" || start == "naive")
       config.fusion = start == "naive" ? "naive" : "none";
     else
@@ -253,15 +256,15 @@ TEST_CASE("fusion and guidance start as identities in the default configuration"
     return worst;
   };
   CHECK(nn::ModelConfig{}.fusion == "cmmf");
-  CHECK(nn::ModelConfig{}.fusion_start == "gated");
+  CHECK(nn::ModelConfig{}.fusion_start == "additive");
   CHECK(nn::ModelConfig{}.guidance == "csrg");
   auto guided = without;
   guided.guidance = "csrg";
   CHECK(difference(guided, without) == 0);
-  auto additive = with;
-  additive.fusion_start = "additive";
-  CHECK(difference(additive, without) < 1e-9);
-  CHECK(difference(with, without) < 0.2);  // m: features 3 % smaller change heights by little
+  CHECK(difference(with, without) < 1e-9);
+  auto gated = with;
+  gated.fusion_start = "gated";
+  CHECK(difference(gated, without) < 0.2);  // m: features 3 % smaller change heights by little
   auto paper = with;
   paper.fusion_start = "paper";
   CHECK(difference(paper, without) > 0.2);
@@ -283,7 +286,8 @@ TEST_CASE("every parameter receives a gradient") {
                                 e.name.find(".out.") == std::string::npos) ||
                                e.name.find(".guidance.") != std::string::npos ||
                                e.name.ends_with(".context.weight") ||
-                               e.name.find(".fusion.key_") != std::string::npos;
+                               e.name.find(".fusion.key_") != std::string::npos ||
+                               e.name.find(".fusion.query") != std::string::npos;
       CHECK_MESSAGE((behind_zero || sum > 0), e.name);
     }
   }
@@ -329,6 +333,44 @@ TEST_CASE("a confidence that knows what the stages before missed") {
     const double c = stages[2].confidence.value()[i];
     REQUIRE(raw[2].surfels.aux.value()[i] == c);
     REQUIRE(floor[2].surfels.aux.value()[i] == doctest::Approx((c - 0.25) / 0.75));
+  }
+}
+
+TEST_CASE("surfel heads and guidance read the one confidence") {
+  const auto scene = hill();
+  const NoGrad no_grad;
+  // What is read where the head's own channel, its last, is deaf, comes by way of the guidance.
+  for (const bool by_guidance : {false, true}) {
+    CAPTURE(by_guidance);
+    const auto surfels = [&](const char* confidence) {
+      nn::ModelConfig config = nn::model_preset("tiny_full");
+      config.mono = config.fusion = "none";  // whose confidence would change heights
+      if (!by_guidance) config.guidance = "none";
+      config.confidence = confidence;
+      Rng rng(7);
+      const auto model = awake(config, rng);
+      for (const auto& e : model.parameters().entries()) {
+        if (!by_guidance || !e.name.ends_with("head.first.weight")) continue;
+        BasicVar<double> v = e.var;
+        const Index in = v.value().dim(1);
+        for (Index o = 0; o < v.value().dim(0); ++o)
+          for (Index k = 0; k < 9; ++k) v.mutable_value()[(o * in + in - 1) * 9 + k] = 0;
+      }
+      return model.forward(scene);
+    };
+    const auto raw = surfels("raw"), floor = surfels("floor"), joint = surfels("joint");
+    for (const auto* other : {&floor, &joint}) {
+      double heights = 0, opacities = 0;
+      for (Index i = 0; i < raw[2].height.value().count(); ++i) {
+        const auto apart = [&](const auto& a, const auto& b) {
+          return std::abs(a.value()[i] - b.value()[i]);
+        };
+        heights = std::max(heights, apart(raw[2].height, (*other)[2].height));
+        opacities = std::max(opacities, apart(raw[2].surfels.opacity, (*other)[2].surfels.opacity));
+      }
+      CHECK(heights == 0);
+      CHECK(opacities > 1e-4);
+    }
   }
 }
 
