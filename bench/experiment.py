@@ -7,15 +7,17 @@ them on the same held-out scenes and writes the table.
 
 Goes on where it stopped: whatever OUT already holds is not made again. OUT/experiment.json is the configuration; another
 one needs another OUT. OUT/table.md and OUT/table.json hold the scores, means over scenes and seeds with the spread of
-the seeds, and how the whole method compares with each other variant, also scene by scene: one scene can have more say in
-a mean than all others. Runs go side by side, a core each: that takes a fifth less time than one after the other, and any
-number of threads gives the same bits. The monocular branch is that of --mono, for all that have one.
+the seeds, and what the whole method gains over each other variant, seed by seed: `ahead` or `behind` where the mean gain
+exceeds what separates the seeds, else `undecided`. Runs go side by side, a core each: that takes a fifth less time than
+one after the other, and any number of threads gives the same bits. The monocular branch is that of --mono, for all that
+have one.
 """
 import argparse
 import concurrent.futures
 import csv
 import hashlib
 import json
+import math
 import os
 import re
 import subprocess
@@ -113,19 +115,27 @@ def cell(values, factor, digits):
 
 def compare(full, other, column):
     """In words: the whole method against another variant, both [(mean row, scene rows)] of the same seeds, in one
-    column."""
+    column. Seed by seed and scene by scene, both saw the same crops and are scored on the same images, so what seeds
+    and scenes do to either cancels: the gain is a mean of differences, of errors of their logarithms, as else the hardest
+    scene would outweigh all others, told as the share of the other's error that is saved."""
     key, title, factor, digits, less = column
-    means = [[m[key] for m, _ in runs if key in m] for runs in (full, other)]
-    if not all(means):
+    pairs = [[(a[key], b[key]) for a, b in zip(x, y) if key in a and key in b and (not less or min(a[key], b[key]) > 0)]
+             for (_, x), (_, y) in zip(full, other)]
+    if not pairs or not all(pairs):
         return None
-    better = factor * (-1 if less else 1)
-    gain = better * (sum(means[0]) / len(means[0]) - sum(means[1]) / len(means[1]))
-    spread = abs(factor) * max(max(v) - min(v) for v in means)
-    word = 'ahead' if gain > spread else 'behind' if gain < -spread else 'within the spread'
-    pairs = [(a[key], b[key]) for (_, x), (_, y) in zip(full, other) for a, b in zip(x, y) if key in a and key in b]
-    ahead = sum(better * (a - b) > 0 for a, b in pairs)
-    return (f'{title}: {word} ({gain:+.{digits}f}, spread {spread:.{digits}f}; ahead in {ahead} of {len(pairs)} '
-            'scenes)')
+    if less:
+        factor, digits, unit = 100, 1, ' %'
+        differences = [[math.log(b / a) for a, b in seed] for seed in pairs]
+    else:
+        unit = ''
+        differences = [[a - b for a, b in seed] for seed in pairs]
+    gains = [sum(d) / len(d) for d in differences]
+    gains = [factor * (1 - math.exp(-g) if less else g) for g in gains]
+    gain, spread = sum(gains) / len(gains), max(gains) - min(gains)
+    word = 'one seed' if len(gains) == 1 else 'ahead' if gain > spread else 'behind' if gain < -spread else 'undecided'
+    each = ', '.join(f'{g:+.{digits}f}{unit}' for g in gains)
+    ahead, scenes = sum(d > 0 for seed in differences for d in seed), sum(map(len, differences))
+    return f'{title}: {word} ({each}; {ahead} of {scenes} scenes)'
 
 
 def write_table(out, config, scores):
