@@ -123,14 +123,13 @@ def compare(full, other, column):
              for (_, x), (_, y) in zip(full, other)]
     if not pairs or not all(pairs):
         return None
+    differences = [[math.log(b / a) if less else a - b for a, b in seed] for seed in pairs]
+    gains = [sum(d) / len(d) for d in differences]
     if less:
-        factor, digits, unit = 100, 1, ' %'
-        differences = [[math.log(b / a) for a, b in seed] for seed in pairs]
+        gains, factor, digits, unit = [1 - math.exp(-g) for g in gains], 100, 1, ' %'
     else:
         unit = ''
-        differences = [[a - b for a, b in seed] for seed in pairs]
-    gains = [sum(d) / len(d) for d in differences]
-    gains = [factor * (1 - math.exp(-g) if less else g) for g in gains]
+    gains = [factor * g for g in gains]
     gain, spread = sum(gains) / len(gains), max(gains) - min(gains)
     word = 'one seed' if len(gains) == 1 else 'ahead' if gain > spread else 'behind' if gain < -spread else 'undecided'
     each = ', '.join(f'{g:+.{digits}f}{unit}' for g in gains)

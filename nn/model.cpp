@@ -359,6 +359,7 @@ class BasicModel<T>::Parts::Pass {
     StageOutput<T>& stage = out_[s];
     const auto& guidance = net_.stages[s].guidance;
     const BasicVar<T> image = downsampled(images_, stage.stride);
+    // the heads' losses reach the search by the published confidence alone
     const BasicVar<T> sure = config_.confidence == "raw"
                                  ? stage.confidence
                                  : BasicVar<T>(effective_confidence(config_, stage));
