@@ -32,7 +32,8 @@ struct ModelConfig {
   std::string fusion_start = "additive";  ///< of cmmf: paper | gated | additive
   double fusion_lambda = 1;               ///< weight of the confidence in cmmf
   double fusion_tau = 0.2;                ///< confidence that favours neither side
-  std::string guidance = "csrg";  ///< of a stage by the one before: none | csrg (nn/guidance.h)
+  /// Of a stage by the one before (nn/guidance.h): none | csrg | photometric
+  std::string guidance = "csrg";
   std::string guidance_norm = "robust";  ///< robust | interval
   std::string keep =
       "last";  ///< surfels of a stage: last (its own) | all (the stages' before, too)
@@ -63,7 +64,8 @@ struct ModelConfig {
     v("interval_max", s.interval_max,
       Field{.help = "largest interval of the last stage", .unit = "m", .min = 0.01, .max = 100});
     v("variance_includes_reference", s.variance_includes_reference,
-      Field{.help = "count the reference view's own feature in the variance"});
+      Field{.help = "count the reference view's own feature in the variance; without it two views "
+                    "have none"});
     v("context", s.context,
       Field{.help = "what the 3D U-Nets are told beside variances: nothing or the reference view's "
                     "features",
@@ -99,26 +101,38 @@ struct ModelConfig {
   friend bool operator==(const ModelConfig&, const ModelConfig&) = default;
 };
 
-/// Named configurations:
+/// Named configurations, each with losses of its own (train/loss.h):
 ///   tiny, tiny_full  for tests, as cascade8 and as base8
 ///   base8            the whole method
-///   base16           the same with twice the channels
-///   cascade8         base8 without monocular branch, fusion and guidance
-///   paper            base8 with the published choices where the defaults are others
+///   base16           features and volumes twice as wide, heads one and a half times
+///   cascade8         base8 without monocular branch, fusion, guidance and context
+///   paper            base8 with the published choices where the defaults are others: no context,
+///                    surfels that face the camera, CMMF as it stands, raw max P for confidence.
+///                    Not: a large pretrained monocular network, for which ours stands in; a
+///                    pinhole for the renderer, where each surfel has its own affine camera from
+///                    the RPC; its batches and length of training. Where it is silent or can be
+///                    read in two ways it is base8: the variance has the reference's feature, as of
+///                    two other views alone it would be blind to the reference; colours are of
+///                    degree 0.
 /// and other methods as far as this engine's parts can stand for theirs. All three have base8's
-/// feature and head widths, RPC cameras, variance volumes, 3D U-Nets and flat surfels:
-///   mvsplat_like   after Chen et al. 2024. Keeps: one plane sweep at a quarter of the resolution,
-///                  128 hypotheses, expectation, interpolation to full size, attributes from image
-///                  and features there. Not: its cross-view transformer, correlation volume, 2D
-///                  U-Nets that refine volume and depth, inverse depth.
-///   hisplat_like   after Tang et al. 2024. Keeps: three stages whose surfels are all kept, each
-///                  guided by the colour error of the ones before, equal loss weights. Not: its
-///                  later stages refine depth by a 2D network where these search a narrow volume,
-///                  its opacity modulator, its image backbone.
-///   skysplat_like  after the RPC splatter of one stage: 64 hypotheses between the scene's heights,
-///                  interpolation to full size, surfels that face the camera, correlation with
-///                  relative heights as a loss on every pixel. Not: its recurrent regulariser, 3D
-///                  Gaussians, cross-view consistency masks.
+/// feature and head widths, RPC cameras, variance volumes, 3D U-Nets, flat surfels and joint
+/// confidence:
+///   mvsplat_like   after Chen et al. 2024 (MVSplat). Keeps: one plane sweep at a quarter of the
+///                  resolution, 128 hypotheses, expectation, interpolation to full size, attributes
+///                  from image and features there. Not: its cross-view transformer, correlation
+///                  volume, 2D U-Nets that refine volume and depth, inverse depth; surfels are
+///                  turned by a residual as base8's.
+///   hisplat_like   after Tang et al. 2024 (HiSplat). Keeps: three stages whose surfels are all
+///                  kept, each guided by the colour error of the ones before, equal loss weights.
+///                  Not: the 128 hypotheses of its first stage, here 64; its later stages refine
+///                  depth by a 2D network where these search a narrow volume; its opacity modulator
+///                  and image backbone; losses of all stages at full resolution.
+///   skysplat_like  after Huang et al. 2025 (SkySplat). Keeps: one stage, 64 hypotheses between the
+///                  scene's heights, interpolation to full size, surfels that face the camera,
+///                  correlation with relative heights as a loss on every pixel. Not: its recurrent
+///                  regulariser, 3D Gaussians, cross-view consistency masks; that correlation is
+///                  patch-wise here and of the whole map there; colours are compared in a target
+///                  view here and in the sources there.
 /// throws  ConfigError naming the presets there are
 ModelConfig model_preset(const std::string& name);
 /// Their names, for texts.

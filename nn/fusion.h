@@ -17,8 +17,8 @@ namespace satsurf::nn {
 ///   paper     as it stands, v_o zero at the start: then F' = (1 - W) v_m(F)
 ///   gated     a learned offset of -4 to begin with goes to l_mono, v_m starts as the identity and q
 ///             at zero: F' = F within 3 %. The gate hardly opens: after 2400 steps W was 0.02 still
-///   additive  F' = v_m(F) + W v_o(M), v_m the identity and v_o zero at the start: F' = F then, and
-///             W as published from the first step on
+///   additive  F' = v_m(F) + W v_o(M), v_m the identity, v_o and q zero at the start: F' = F then,
+///             with W = sigmoid(-2 b), as the confidence alone has it
 /// `naive` fusion is one 1 x 1 convolution of F and M stacked.
 /// Source: SatSurfGS, confidence-aware monocular multi-view feature fusion.
 template <class T>

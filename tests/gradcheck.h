@@ -58,12 +58,10 @@ using DoubleVars = std::vector<BasicVar<double>>;
 /// that is (a mean's are 1 / N), less what rounding alone does to the difference. Fails too where an
 /// input's gradient is all zero without being declared so: tolerances alone would let a forgotten
 /// gradient pass. And fails where a second pass does not add the same again.
-inline GradcheckReport gradcheck(const std::function<BasicVar<double>(const DoubleVars&)>& f,
-                                 const std::vector<BasicTensor<double>>& inputs,
-                                 const GradcheckOptions& opt = {}) {
-  DoubleVars vars;
-  for (const auto& t : inputs) vars.emplace_back(t.clone(), true);
-  const BasicVar<double> out = f(vars);
+/// f     reads `vars`, which have no gradient yet, as the parameters of a layer are
+inline GradcheckReport gradcheck_of(const std::function<BasicVar<double>()>& f, DoubleVars vars,
+                                    const GradcheckOptions& opt = {}) {
+  const BasicVar<double> out = f();
   Rng rng(opt.seed);
   const auto cotangent = normal_tensor<double>(out.shape(), rng);
   std::vector<BasicTensor<double>> once;
@@ -71,13 +69,13 @@ inline GradcheckReport gradcheck(const std::function<BasicVar<double>(const Doub
     const NanGuard guard;  // elements of new gradients that backward leaves out are NaN
     out.backward(cotangent);
     for (const auto& v : vars) once.push_back(v.grad().clone());
-    f(vars).backward(cotangent);  // adds
+    f().backward(cotangent);  // adds
   }
 
   double magnitude = 0;  // sum of |terms| of the objective: what its rounding error scales with
   const auto objective = [&] {
     const NoGrad no_grad;
-    const BasicVar<double> y = f(vars);
+    const BasicVar<double> y = f();
     double sum = 0;
     magnitude = 0;
     for (Index i = 0; i < y.count(); ++i) {
@@ -139,6 +137,15 @@ inline GradcheckReport gradcheck(const std::function<BasicVar<double>(const Doub
   }
   report.text = text.str();
   return report;
+}
+
+/// The same for a function of its own inputs.
+inline GradcheckReport gradcheck(const std::function<BasicVar<double>(const DoubleVars&)>& f,
+                                 const std::vector<BasicTensor<double>>& inputs,
+                                 const GradcheckOptions& opt = {}) {
+  DoubleVars vars;
+  for (const auto& t : inputs) vars.emplace_back(t.clone(), true);
+  return gradcheck_of([&] { return f(vars); }, vars, opt);
 }
 
 }  // namespace satsurf::test

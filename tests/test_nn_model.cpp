@@ -243,9 +243,21 @@ TEST_CASE("fusion and guidance start as identities in the default configuration"
   // The same seed gives parameters of the same name the same values.
   nn::ModelConfig with = nn::model_preset("tiny_full"), without = with;
   without.fusion = without.guidance = "none";
-  const auto difference = [&](const nn::ModelConfig& a, const nn::ModelConfig& b) {
-    const auto x = nn::BasicModel<double>(a, 1).forward(scene),
-               y = nn::BasicModel<double>(b, 1).forward(scene);
+  // The heads' last layers start at zero: awake, they show what guidance gives them.
+  const auto stages_of = [&](const nn::ModelConfig& config, bool wakes_guidance = false) {
+    nn::BasicModel<double> model(config, 1);
+    for (const auto& e : model.parameters().entries()) {
+      if (!e.name.ends_with("head.out.weight") &&
+          !(wakes_guidance && e.name.ends_with("guidance.residual2.weight")))
+        continue;
+      BasicVar<double> v = e.var;
+      v.mutable_value() = normal(v.shape(), 8, 0.05);
+    }
+    return model.forward(scene);
+  };
+  const auto difference = [&](const nn::ModelConfig& a, const nn::ModelConfig& b,
+                              bool wakes_guidance = false) {
+    const auto x = stages_of(a, wakes_guidance), y = stages_of(b);
     double worst = 0;
     for (std::size_t s = 0; s < 3; ++s)
       for (const auto& [u, v] :
@@ -261,6 +273,7 @@ TEST_CASE("fusion and guidance start as identities in the default configuration"
   auto guided = without;
   guided.guidance = "csrg";
   CHECK(difference(guided, without) == 0);
+  CHECK(difference(guided, without, true) > 1e-3);  // it would show
   CHECK(difference(with, without) < 1e-9);
   auto gated = with;
   gated.fusion_start = "gated";

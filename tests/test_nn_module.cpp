@@ -5,6 +5,7 @@
 #include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
+#include "satsurf/ops/reduce.h"
 
 #include <algorithm>
 #include <cmath>
@@ -188,16 +189,26 @@ TEST_CASE("surfels of pixels: gradients and meaning") {
   const auto raw = normal({2, 10, 2, 2}, 3, 0.3), height = normal({2, 2, 2}, 4),
              conf = normal({2, 2, 2}, 5);
   const auto image = normal({2, 3, 2, 2}, 6);
-  for (const nn::Rotation rotation : {nn::Rotation::residual, nn::Rotation::camera}) {
+  for (const nn::Rotation rotation :
+       {nn::Rotation::residual, nn::Rotation::camera, nn::Rotation::gradient}) {
     CAPTURE(static_cast<int>(rotation));
     CHECK(gradcheck(
         [&](const DoubleVars& v) {
           const auto s = nn::surfels_from_maps(v[0], v[1], image, v[2], geometry, rotation);
-          return concat<double>(
-              {s.means, s.quats, s.scales, reshape(s.opacity, Shape{8, 1}), s.colours, s.aux}, 1);
+          std::vector<BasicVar<double>> all{s.means, s.scales, reshape(s.opacity, Shape{8, 1}),
+                                            s.colours, s.aux};
+          // surfels along the surface turn with the heights, by design without a gradient
+          if (rotation != nn::Rotation::gradient) all.push_back(s.quats);
+          return concat(all, 1);
         },
         {raw, height, conf}));
   }
+  const BasicVar<double> heights(height, true);
+  mean(nn::surfels_from_maps(BasicVar<double>(raw), heights, image, BasicVar<double>(conf),
+                             geometry, nn::Rotation::gradient)
+           .quats)
+      .backward();
+  for (const double g : heights.grad().values()) CHECK(g == 0);
   const auto s = nn::surfels_from_maps(BasicVar<double>(raw), BasicVar<double>(height), image,
                                        BasicVar<double>(conf), geometry, nn::Rotation::residual);
   for (Index i = 0; i < 8; ++i) {  // a surfel's centre projects onto its own pixel
