@@ -229,7 +229,7 @@ std::string type_text(const FieldRef& field) {
   const std::string name = kNames[static_cast<std::size_t>(field.kind())];
   if (!field.is_list()) return name;
   const std::size_t n = fixed_length(field.target);
-  return n > 0 ? std::to_string(n) + " x " + name : "list of " + name;
+  return (n > 0 ? std::to_string(n) + " " : "") + "comma-separated " + name + "s";
 }
 
 }  // namespace

@@ -43,7 +43,7 @@ struct Field {
 /// One row of the help and of the documentation.
 struct FieldInfo {
   std::string name;   ///< dotted, as in `--model.base`
-  std::string type;   ///< e.g. `integer`, `bool`, `list of number`, `3 x number`
+  std::string type;   ///< e.g. `integer`, `bool`, `3 comma-separated numbers`
   std::string value;  ///< as `set_field` reads it; the default where the struct is a fresh one
   std::string range;  ///< e.g. `0 to 1`, `>= 1`, `l1 | l2`; empty if anything goes
   std::string unit;

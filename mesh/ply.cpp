@@ -24,6 +24,8 @@ static_assert(std::endian::native == std::endian::little);  // numbers are copie
 
 constexpr std::size_t kMostHeader = 1 << 20, kMostProperties = 4096;
 constexpr std::uint64_t kMostElements = 0x7fffffff;  // a face holds 31-bit vertex numbers
+// m; there the next float is 8 mm away
+constexpr double kFarthest = 1e5;
 
 /// One number type of the format.
 struct Type {
@@ -197,6 +199,11 @@ class Reader {
           if (!std::isfinite(static_cast<float>(x)))
             fail("property " + s.name + " of vertex " + std::to_string(v) + " is " +
                  std::to_string(x) + ", expected a finite number");
+          if (first == kPosition && std::abs(x) > kFarthest)
+            fail("property " + s.name + " of vertex " + std::to_string(v) + " is " +
+                 std::to_string(x) +
+                 ", expected at most 100000 m either way: coordinates relative to an origin near "
+                 "the mesh");
           out[v][a] = static_cast<float>(x);
         }
     };

@@ -27,7 +27,8 @@ struct PlyContent {
 /// Reads a binary little-endian mesh that `write_ply` or another program made: vertices with float
 /// or double x y z, and normals and 8-bit colours if they are there, then faces as one list; further
 /// numbers of a vertex are skipped, faces of more than three corners become fans. Header, size and
-/// every number are checked.
+/// every number are checked. Coordinates have to lie within 1e5 m of the origin, where a float
+/// still tells a centimetre: northings of UTM would snap to quarter or half metres.
 /// throws  IoError in one line
 PlyContent read_ply(const std::filesystem::path& path);
 

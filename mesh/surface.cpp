@@ -182,9 +182,8 @@ void find_normals(Mesh& mesh) {
   }
 }
 
-}  // namespace
-
-Mesh extract_surface(const Tsdf& field, double least_area) {
+/// Vertices and faces, both none where there is no surface.
+Mesh zero_level(const Tsdf& field, double least_area) {
   openvdb::tools::VolumeToMesh found(0.0, 0.0);
   // In the arena of our loops, so that the cap on threads holds.
   detail::run_pieces(1, [&](Index) {
@@ -213,6 +212,20 @@ Mesh extract_surface(const Tsdf& field, double least_area) {
     }
   }
   drop_small_pieces(mesh, least_area);
+  return mesh;
+}
+
+/// Smaller pieces are noise that hangs in the air, m^2.
+double least_area_of(const FusionOptions& options) {
+  constexpr double kLeastSide = 20;  // voxels
+  const double side = kLeastSide * options.voxel;
+  return side * side;
+}
+
+}  // namespace
+
+Mesh extract_surface(const Tsdf& field, double least_area) {
+  Mesh mesh = zero_level(field, least_area);
   if (mesh.faces.empty())
     throw Error("extract_surface: no surface in " + std::to_string(field.values.count()) +
                 " voxels, wanted one; views that see the same ground give one");
@@ -221,10 +234,20 @@ Mesh extract_surface(const Tsdf& field, double least_area) {
 }
 
 Mesh mesh_from_views(std::span<const HeightView> views, const FusionOptions& options) {
-  constexpr double kLeastSide = 20;  // voxels; smaller pieces are noise that hangs in the air
-  const double side = kLeastSide * options.voxel;
-  Mesh mesh = extract_surface(fuse(views, options), side * side);
+  Mesh mesh = extract_surface(fuse(views, options), least_area_of(options));
   colour_vertices(mesh, views, options);
+  return mesh;
+}
+
+std::optional<Mesh> shape_from_views(std::span<const HeightView> views,
+                                     const FusionOptions& options) {
+  const bool any = std::any_of(views.begin(), views.end(), [](const HeightView& v) {
+    return std::any_of(v.height.values().begin(), v.height.values().end(),
+                       [](float z) { return std::isfinite(z); });
+  });
+  if (!any) return std::nullopt;
+  Mesh mesh = zero_level(fuse(views, options), least_area_of(options));
+  if (mesh.faces.empty()) return std::nullopt;
   return mesh;
 }
 

@@ -4,6 +4,7 @@
 #include "satsurf/mesh/mesh.h"
 #include "satsurf/mesh/tsdf.h"
 
+#include <optional>
 #include <span>
 
 namespace satsurf::mesh {
@@ -21,5 +22,11 @@ Mesh extract_surface(const Tsdf& field, double least_area);
 /// 20 x 20 voxels, `colour_vertices`.
 /// throws  as these
 Mesh mesh_from_views(std::span<const HeightView> views, const FusionOptions& options);
+
+/// Vertices and faces of the same, without normals and colours: what comparing shapes takes.
+/// returns  nothing where the views have no height, or too few together for a surface
+/// throws   as `fuse` for anything else
+std::optional<Mesh> shape_from_views(std::span<const HeightView> views,
+                                     const FusionOptions& options);
 
 }  // namespace satsurf::mesh

@@ -244,6 +244,9 @@ Tsdf fuse(std::span<const HeightView> views, const FusionOptions& options) {
 void colour_vertices(Mesh& mesh, std::span<const HeightView> views, const FusionOptions& options) {
   check_fusion(options);
   constexpr float kGrey = 0.5f;
+  mesh.colours.clear();
+  if (std::all_of(views.begin(), views.end(), [](const HeightView& v) { return v.rgb.empty(); }))
+    return;
   std::vector<SampledView> sampled;
   sampled.reserve(views.size());
   for (const HeightView& v : views) sampled.emplace_back(v, options);

@@ -68,7 +68,7 @@ Tsdf fuse(std::span<const HeightView> views, const FusionOptions& options);
 
 /// Colours a mesh from the pictures: per vertex their average with the weights of `fuse`. A vertex
 /// that no picture shows gets the colour of what hides it; one outside all pictures is grey.
-/// mesh      takes the colours
+/// mesh      takes the colours; none where no view has a picture
 /// views     as given to `fuse`; those without `rgb` count for nothing
 /// throws    ShapeError
 void colour_vertices(Mesh& mesh, std::span<const HeightView> views, const FusionOptions& options);

@@ -220,8 +220,8 @@ TEST_CASE("fields: description and table") {
   CHECK(rows[5] == FieldInfo{"loss", "text", "l1", "l1 | l2 | huber", "", ""});
   CHECK(rows[7] ==
         FieldInfo{"model.base", "integer", "8", "1 to 64", "", "channels | first level"});
-  CHECK(rows[8] == FieldInfo{"model.widths", "list of integer", "1,2", ">= 1", "", ""});
-  CHECK(rows[9] == FieldInfo{"heights", "2 x number", "0,100", "<= 9000", "m", ""});
+  CHECK(rows[8] == FieldInfo{"model.widths", "comma-separated integers", "1,2", ">= 1", "", ""});
+  CHECK(rows[9] == FieldInfo{"heights", "2 comma-separated numbers", "0,100", "<= 9000", "m", ""});
   CHECK(rows[11].value == "true,false");
   for (const FieldInfo& r : rows) {  // what is described can be set
     Config c;

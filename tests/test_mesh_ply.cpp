@@ -148,6 +148,16 @@ TEST_CASE("mesh files that are damaged are refused") {
   const float nan = std::numeric_limits<float>::quiet_NaN();
   CHECK(complaint(head + raw({0.f, 0.f, 0.f, 1.f, nan, 0.f, 0.f, 1.f, 0.f}) + face) ==
         "property y of vertex 1 is nan, expected a finite number");
+  const std::string wide = kFront +
+                           "element vertex 3\nproperty double x\nproperty double y\n"
+                           "property double z\nelement face 1\n" +
+                           list + "end_header\n";
+  CHECK(complaint(wide + raw({1e5, 0., 0., 1., -1e5, 0., 0., 1., 0.}) + face) == "no exception");
+  CHECK(complaint(wide + raw({0., 0., 0., 1., -3354000.25, 0., 0., 1., 0.}) + face) ==
+        "property y of vertex 1 is -3354000.250000, expected at most 100000 m either way: "
+        "coordinates relative to an origin near the mesh");
+  CHECK(complaint(head + raw({0.f, 0.f, 0.f, 4e5f, 0.f, 0.f, 0.f, 1.f, 0.f}) + face)
+            .starts_with("property x of vertex 1 is 400000.000000, expected at most "));
   CHECK(error_of<IoError>([&] { mesh::read_ply(folder / "none.ply"); }) ==
         "read_ply: " + (folder / "none.ply").string() + ": cannot be opened");
 }

@@ -324,6 +324,33 @@ TEST_CASE("the mesh does not depend on the number of threads") {
   }
 }
 
+TEST_CASE("a shape is the mesh without what only pictures need") {
+  auto views = views_of({}, 90, kThreeSides);
+  const Mesh whole = mesh::mesh_from_views(views, {0.6, 5});
+  const auto shape = mesh::shape_from_views(views, {0.6, 5});
+  REQUIRE(shape);
+  CHECK(shape->vertices == whole.vertices);
+  CHECK(shape->faces == whole.faces);
+  CHECK(shape->normals.empty());
+  CHECK(shape->colours.empty());
+  for (HeightView& v : views) v.rgb = {};
+  const Mesh plain = mesh::mesh_from_views(views, {0.6, 5});
+  CHECK(plain.vertices == whole.vertices);
+  CHECK(plain.normals == whole.normals);
+  CHECK(plain.colours.empty());
+
+  // Where there is no surface there is no shape, which is no error.
+  HeightView none = level(20, NAN, 1), thin = level(20, 1, 1);
+  for (Index p = 0; p < 400; ++p)
+    if (p != 210) thin.height[p] = NAN;
+  CHECK_FALSE(mesh::shape_from_views(std::vector{none}, {1, 5}));
+  CHECK_FALSE(mesh::shape_from_views(std::vector{none, thin}, {1, 5}));
+  CHECK_FALSE(mesh::shape_from_views({}, {1, 5}));
+  CHECK(error_of<ConfigError>([&] {
+          mesh::shape_from_views(views, {0, 5});
+        }) == "fuse: voxel 0, wanted a positive number of metres");
+}
+
 TEST_CASE("what cannot be fused is refused") {
   const auto fuse = [](const HeightView& v, FusionOptions how) {
     return [=] { mesh::fuse(std::vector{v}, how); };

@@ -104,7 +104,13 @@ TEST_CASE("confidence bins of equal count") {
     errors.add(Tensor({4, 25}, 0.75f), Tensor({4, 25}, 0.5f));
     REQUIRE(errors.equal_count().size() == 2);
     CHECK(errors.equal_count()[1].mae == 0.5);
+    CHECK_FALSE(errors.monotone());  // two bins are no trend
+    errors.add(Tensor({4, 25}, 0.875f), Tensor({4, 25}, 0.25f));
+    REQUIRE(errors.equal_count().size() == 3);
     CHECK(errors.monotone());
+    errors.add(Tensor({4, 25}, 1.f), Tensor({4, 25}, 0.25f));
+    REQUIRE(errors.equal_count().size() == 4);
+    CHECK_FALSE(errors.monotone());
   }
   SUBCASE("of nothing") {
     const ConfidenceErrors none;
@@ -167,7 +173,26 @@ TEST_CASE("confidence as JSON, CSV and a figure") {
   CHECK(svg.starts_with("<svg "));
   CHECK(svg.ends_with("</svg>\n"));
   CHECK(count(svg, "<text ") == count(svg, "</text>"));
-  CHECK(count(svg, "<rect ") == 2 + (2 + 2) + (10 + 10));  // background, legend and bars
+  // background, legend, then a bar of errors and three of shares for each bin
+  CHECK(count(svg, "<rect ") == 1 + 4 + 4 * (2 + 2) + 4 * (10 + 10));
+  CHECK(svg.find(">2.5 m<") != std::string::npos);
+  CHECK(svg.find(">share of a bin's pixels with |error| &lt;<") != std::string::npos);
+  CHECK(
+      svg.find(">2 pixels; 2 bins of equal count, too few to tell whether the mean error falls<") !=
+      std::string::npos);
+  CHECK(svg.find(">20 pixels; the mean error falls over 10 bins of equal count<") !=
+        std::string::npos);
+  CHECK(
+      svg.find(">0 pixels; 0 bins of equal count, too few to tell whether the mean error falls<") !=
+      std::string::npos);
   CHECK(svg.find("Few &lt;&amp; far&gt;") != std::string::npos);
   for (const char* bad : {"nan", "inf", "-0.0"}) CHECK(svg.find(bad) == std::string::npos);
+
+  // a bar of a share of one is as high as its chart, that of a half is half as high
+  ConfidenceErrors half;
+  half.add(Tensor::from({1, 2}, {0.5f, 0.5f}), Tensor::from({1, 2}, {0.5f, 2}));
+  const std::string bars = confidence_svg({{"a", "A", &half}});
+  CHECK(count(bars, "height=\"110.0\" fill=\"#c4dfc6\"") == 2);
+  CHECK(count(bars, "height=\"110.0\" fill=\"#7fb885\"") == 2);
+  CHECK(count(bars, "height=\"55.0\" fill=\"#35783f\"") == 2);
 }

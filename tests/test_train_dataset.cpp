@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/rpc/raster.h"
 #include "satsurf/train/dataset.h"
-#include "satsurf/train/reconstruct.h"
+#include "satsurf/train/height_range.h"
 #include "satsurf/train/simulate/scene.h"
 
+#include <array>
 #include <cmath>
 #include <fstream>
+#include <string>
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
@@ -229,6 +232,46 @@ TEST_CASE("broken Sat-NeRF folders are refused by name") {
   write_bytes(scene / "train.txt", "\n");
   CHECK(error_of<IoError>([&] { list_scenes(scene); }) ==
         where + "/train.txt: names no view, expected one JSON file a line");
+}
+
+TEST_CASE("truth that does not fit together is refused by name") {
+  const TempFolder folder("dataset-7");
+  write_scene(simulate_scene(small_scene(), 3, 0), folder.path(), "SIM_001");
+  const auto truth = folder / "Track3-Truth";
+  const std::string dsm_file = (truth / "SIM_001_DSM.tif").string(),
+                    classes_file = (truth / "SIM_001_CLS.tif").string();
+  const Scene known = load_scene(folder.path(), "SIM_001");
+  const Index H = known.classes.dim(0), W = known.classes.dim(1);
+  const rpc::GeoRaster dsm = rpc::read_geo_raster(dsm_file, known.frame.zone);
+  const auto refusal = [&] {
+    return error_of<IoError>([&] { load_scene(folder.path(), "SIM_001"); });
+  };
+  const auto cells = [](Index h, Index w) {
+    return std::to_string(w) + " x " + std::to_string(h) + " cells of ";
+  };
+
+  rpc::write_geo_raster(classes_file, Tensor({H - 1, W}), dsm.grid);
+  const std::string smaller = refusal();
+  CAPTURE(smaller);
+  CHECK(smaller.starts_with(classes_file + ": " + cells(H - 1, W)));
+  CHECK(smaller.find(", wanted the grid of " + dsm_file + ", " + cells(H, W)) != std::string::npos);
+  for (const auto& [east, north, scale] : {std::array<double, 3>{1, 0, 1}, {0, -1, 1}, {0, 0, 2}}) {
+    CAPTURE(east);
+    CAPTURE(north);
+    rpc::GeoGrid moved = dsm.grid;
+    moved.x0 += east * moved.step, moved.y0 += north * moved.step, moved.step *= scale;
+    rpc::write_geo_raster(classes_file, Tensor({H, W}), moved);
+    CHECK(refusal().starts_with(classes_file + ": " + cells(H, W)));
+  }
+  rpc::GeoGrid point = dsm.grid;  // half a cell is the other convention
+  point.x0 += 0.5 * point.step, point.y0 -= 0.5 * point.step;
+  rpc::write_geo_raster(classes_file, known.classes, point);
+  CHECK(same_values(load_scene(folder.path(), "SIM_001").classes, known.classes));
+
+  rpc::write_geo_raster(classes_file, Tensor({3, H, W}), dsm.grid);
+  CHECK(refusal() == classes_file + ": 3 bands, wanted one");
+  rpc::write_geo_raster(dsm_file, Tensor({2, H, W}), dsm.grid);
+  CHECK(refusal() == dsm_file + ": 2 bands, wanted one");
 }
 
 TEST_CASE("folders that are no data sets are refused") {

@@ -1,19 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
-#include "satsurf/core/safetensors.h"
-#include "satsurf/mesh/surface.h"
+#include "satsurf/mesh/compare.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/train/evaluate.h"
+#include "satsurf/train/reconstruct.h"
 #include "satsurf/train/simulate/scene.h"
 #include "satsurf/train/surface_view.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <limits>
 #include <string>
 #include <vector>
 
+#include "tests/small_lpips.h"
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
 #include <nlohmann/json.hpp>
@@ -21,6 +23,7 @@
 using namespace satsurf;
 using namespace satsurf::train;
 using satsurf::test::error_of;
+using satsurf::test::small_lpips;
 namespace fs = std::filesystem;
 
 namespace {
@@ -43,6 +46,7 @@ SceneScores scores(const std::string& name, double mae, double psnr_db) {
   s.dsm.raw.mae = 2 * mae;
   s.dsm.shift = {0, 0, -1.5};
   s.target.psnr = psnr_db, s.target.psnr_fitted = psnr_db + 2, s.target.ssim = 0.75;
+  s.target_covered = 0.5 * mae;
   s.registered[2].filled.mae = 3 * mae, s.registered[2].shift = {0.5, -1, 2};
   return s;
 }
@@ -71,15 +75,38 @@ Scene small_scene(const fs::path& folder) {
   return load_scene(folder, "SIM_001");
 }
 
-/// A network of few channels with known weights, see golden/make_image_golden.py.
-nn::Lpips small_lpips() {
-  const TensorFile golden =
-      load_safetensors(fs::path(__FILE__).parent_path() / "golden" / "image_golden.safetensors");
-  TensorFile file;
-  const std::string prefix = "lpips.alex.";
-  for (const auto& [name, tensor] : golden.tensors)
-    if (name.starts_with(prefix)) file.tensors[name.substr(prefix.size())] = tensor.clone();
-  return nn::Lpips(file, "alex");
+/// Level discs at the cells of a surface, moved by some metres. Every other number is made up.
+splat::Surfels discs(const HeightField& field, const std::array<double, 3>& by) {
+  const Index W = field.z.dim(1);
+  std::vector<float> means;
+  for (Index i = 0; i < field.z.count(); ++i) {
+    const auto z = static_cast<double>(field.z[i]);
+    if (!std::isfinite(z)) continue;
+    const double at[3] = {field.x0 + (static_cast<double>(i % W) + 0.5) * field.step,
+                          field.y0 - (static_cast<double>(i / W) + 0.5) * field.step, z};
+    for (std::size_t a = 0; a < 3; ++a) means.push_back(static_cast<float>(at[a] + by[a]));
+  }
+  const Index P = static_cast<Index>(means.size()) / 3;
+  Tensor quats({P, 4});
+  for (Index p = 0; p < P; ++p) quats[4 * p] = 1;
+  return {Var(Tensor::from({P, 3}, means)),
+          Var(quats),
+          Var(Tensor({P, 2}, static_cast<float>(0.5 * field.step))),
+          Var(Tensor({P}, 0.98f)),
+          Var(Tensor({P, 3}, 0.5f)),
+          Var(Tensor({P, 1}, 0.9f))};
+}
+
+/// A mask of the cells within some metres of a point.
+Tensor around(const HeightField& field, double x, double y, double radius) {
+  Tensor mask(field.z.shape());
+  const Index W = field.z.dim(1);
+  for (Index i = 0; i < mask.count(); ++i) {
+    const double dx = field.x0 + (static_cast<double>(i % W) + 0.5) * field.step - x,
+                 dy = field.y0 - (static_cast<double>(i / W) + 0.5) * field.step - y;
+    mask[i] = std::max(std::abs(dx), std::abs(dy)) < radius ? 1.f : 0.f;
+  }
+  return mask;
 }
 
 /// All numbers but the time.
@@ -111,7 +138,7 @@ TEST_CASE("scores of a data set") {
   const auto rows = lines_of(csv);
   REQUIRE(rows.size() == 4);
   const std::vector<std::string> names = cells_of(rows[0]);
-  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 2 * 6 + 7);
+  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 2 * 6 + 8);
   for (const std::string& row : rows) CHECK(cells_of(row).size() == names.size());
   REQUIRE(j["mean"].size() == names.size() - 1);
   Index column = 1;
@@ -127,6 +154,14 @@ TEST_CASE("scores of a data set") {
   CHECK(cells_of(rows[3])[at("render_target_psnr")] == "20");
   CHECK(cells_of(rows[1])[at("render_target_psnr_fitted")] == "22");
   CHECK(cells_of(rows[3])[at("render_target_lpips")].empty());
+  CHECK(cells_of(rows[2])[at("render_target_covered")] == "1.5");
+  CHECK(at("render_target_covered") == at("render_target_lpips") + 1);
+  CHECK(j["scenes"][0]["render_target_covered"] == 0.5);
+  CHECK(j["mean"]["render_target_covered"] == 1);
+  // over how many scenes a mean is, where these are not all
+  CHECK(j["mean_scenes"]["render_target_psnr"] == 1);
+  CHECK(j["mean_scenes"]["mesh_chamfer"] == 0);
+  CHECK_FALSE(j["mean_scenes"].contains("dsm_mae"));
   CHECK(j["mean"]["render_target_ssim"] == 0.75);
   CHECK(j["mean"]["render_target_lpips"].is_null());
   CHECK(j["lpips_backbone"].is_null());
@@ -136,6 +171,10 @@ TEST_CASE("scores of a data set") {
   CHECK(csv.find("\nmean,2,") != std::string::npos);
   CHECK(csv.find("nan") == std::string::npos);
   CHECK(scores_csv({}).empty());
+
+  const std::string odd = scores_csv({scores("a, \"b\"", 1, 20), scores("c d", 1, 20)});
+  CHECK(odd.find("\n\"a, \"\"b\"\"\",1,0,") != std::string::npos);
+  CHECK(odd.find("\nc d,1,0,") != std::string::npos);
 }
 
 TEST_CASE("load_dsm_pair") {
@@ -164,6 +203,17 @@ TEST_CASE("load_dsm_pair") {
        " in EPSG:32617, wanted one system for both; gdalwarp brings one into the other")
           .c_str(),
       IoError);
+}
+
+TEST_CASE("covered_share") {
+  const Tensor alpha = Tensor::from({2, 3}, {0.25f, 0.5f, 1, 0.75f, 0.49f, 1});
+  CHECK(covered_share(alpha, Tensor::from({2, 3}, {1, 1, 0, 1, 0, 1})) == 0.75);
+  CHECK(covered_share(alpha, Tensor::from({2, 3}, {1, 0, 0, 0, 1, 0})) == 0);
+  CHECK(std::isnan(covered_share(alpha, Tensor({2, 3}))));
+  CHECK(error_of<ShapeError>([&] {
+          covered_share(alpha, Tensor({3, 2}));
+        }) ==
+        "covered_share: valid has shape [3,2], expected [H W] with H=2 from alpha, W=3 from alpha");
 }
 
 TEST_CASE("seen_by_two: only ground inside two images counts") {
@@ -235,6 +285,35 @@ TEST_CASE("what cameras see of the true surface, and of a part of it") {
   CHECK(kept < known * 3 / 4);
 }
 
+TEST_CASE("a surface that lies wrong is compared where its shift puts it") {
+  const Folder folder;
+  const Scene scene = small_scene(folder.path);
+  const HeightField& truth = *scene.truth;
+  const Tensor mask = around(truth, 0, 0, 8);
+  const auto compared = [&](const std::array<double, 3>& by, const std::array<double, 3>& shift) {
+    const auto c = compare_surfaces(discs(truth, by), scene, mask, shift, 1);
+    REQUIRE(c);
+    return c->without_walls;
+  };
+  const mesh::SurfaceScores right = compared({0, 0, 0}, {0, 0, 0});
+  CHECK(right.f[1].f1 > 0.9);
+
+  // 2 m too high, as a wrong datum leaves it
+  const mesh::SurfaceScores high = compared({0, 0, 2}, {0, 0, 0}),
+                            lowered = compared({0, 0, 2}, {0, 0, -2});
+  CHECK(high.f[1].f1 < 0.3);
+  CHECK(high.chamfer > right.chamfer + 1);
+  CHECK(lowered.f[1].f1 > right.f[1].f1 - 0.05);
+  CHECK(std::abs(lowered.chamfer - right.chamfer) < 0.1);
+
+  // 6 m too far east: the cells are those where the surface comes to lie, else its edges miss
+  const mesh::SurfaceScores moved = compared({6, 0, 0}, {-6, 0, 0});
+  CHECK(moved.f[1].precision > right.f[1].precision - 0.1);
+  CHECK(moved.f[1].recall > right.f[1].recall - 0.1);
+
+  CHECK_FALSE(compare_surfaces(discs(truth, {0, 0, 0}), scene, Tensor(mask.shape()), {0, 0, 0}, 1));
+}
+
 TEST_CASE("a scene's scores") {
   const Folder folder;
   const Scene scene = small_scene(folder.path);
@@ -277,16 +356,30 @@ TEST_CASE("a scene's scores") {
   CHECK(std::isfinite(s.target.ssim));
   CHECK(s.target.ssim_conv < 1);
   CHECK(s.target.lpips.value() > 0);
+  CHECK(s.target_covered > 0);
+  CHECK(s.target_covered <= 1);
+  CHECK(s.dsm.error.empty());  // scores only
   REQUIRE(s.mesh);
-  CHECK(s.mesh->all.chamfer > 0);
-  CHECK(s.mesh->all.chamfer < 20);
   CHECK(s.mesh->without_walls.mesh_samples < s.mesh->all.mesh_samples);
-  // a surface meets the same one with better scores than a network that has learned nothing
-  {
-    std::vector<mesh::HeightView> truth;
-    for (const SceneView& view : scene.views) truth.push_back(true_view(*scene.truth, view, scene));
-    const mesh::Mesh surface = mesh::mesh_from_views(truth, {.voxel = 1});
-    CHECK(mesh::compare_meshes(surface, surface).all.chamfer < 0.1 * s.mesh->all.chamfer);
+  {  // meshes are compared after the DSM's shift, above the DSM's cells
+    Scene seen = scene;
+    seen.views.resize(3);
+    ReconstructOptions how;
+    how.resolution = scene.truth->step, how.mesh = 0;
+    const Reconstruction made = reconstruct(model, seen, how);
+    std::vector<ImageCamera> cameras;
+    for (const SceneView& v : seen.views) cameras.push_back({v.rpc, v.rgb.dim(2), v.rgb.dim(1)});
+    Tensor mask = seen_by_two(*scene.truth, scene.frame, cameras);
+    const Tensor dry = not_water(scene.classes);
+    for (Index i = 0; i < mask.count(); ++i) mask[i] *= dry[i];
+    const auto compared = [&](const std::array<double, 3>& shift) {
+      const auto c = compare_surfaces(made.surfels, scene, mask, shift, made.voxel);
+      REQUIRE(c);
+      return scores_json(*c).dump();
+    };
+    REQUIRE(s.dsm.shift[2] != 0);
+    CHECK(compared(s.dsm.shift) == scores_json(*s.mesh).dump());
+    CHECK(compared({0, 0, 0}) != scores_json(*s.mesh).dump());
   }
   const auto j = scores_json(all);
   CHECK(j["mean"]["mesh_chamfer"] == s.mesh->all.chamfer);
@@ -306,10 +399,35 @@ TEST_CASE("a scene's scores") {
     CHECK(t.render_target.truth == 0);
     CHECK(std::isnan(t.render_target.mae));
     CHECK(std::isnan(t.target.psnr));
+    CHECK(std::isnan(t.target_covered));
     CHECK(!t.target.lpips);
     CHECK(t.dsm.registered.mae == s.dsm.registered.mae);
     const auto mean = scores_json(std::vector{s, t})["mean"];
     CHECK(mean["render_target_mae"] == s.render_target.mae);
+  }
+  SUBCASE("a scene of which nothing comes is one of failures") {
+    Scene blind = scene;
+    for (std::size_t i = 0; i < 3; ++i) blind.views[i].valid = Tensor(scene.views[i].valid.shape());
+    ConfidenceScores confidence;
+    const SceneScores t = evaluate_scene(model, blind, options, &confidence);
+    CHECK(t.dsm.registered.truth == s.dsm.registered.truth);
+    for (const RegisteredScores& r : t.registered)
+      for (const HeightScores& h : {r.scores, r.filled}) {
+        CHECK(h.truth == s.dsm.registered.truth);
+        CHECK(h.compared == 0);
+        CHECK(h.completeness == 0);
+        CHECK(h.pag7_5 == 0);
+        CHECK(std::isnan(h.mae));
+      }
+    CHECK_FALSE(t.mesh);
+    CHECK(confidence.dsm.pixels() == 0);
+    const auto table = scores_json(std::vector{s, t});
+    CHECK(table["mean"]["dsm_pag2.5"].get<double>() ==
+          doctest::Approx(s.dsm.registered.pag2_5 / 2));
+    CHECK(table["mean"]["dsm_mae"] == s.dsm.registered.mae);
+    for (const char* name : {"dsm_mae", "dsm_filled_z_rmse", "mesh_chamfer", "mvs_source_mae"})
+      CHECK(table["mean_scenes"][name] == 1);
+    CHECK_FALSE(table["mean_scenes"].contains("dsm_pag2.5"));
   }
   SUBCASE("refusals") {
     Scene other = scene;
@@ -320,6 +438,23 @@ TEST_CASE("a scene's scores") {
     other.truth.reset();
     CHECK(error_of<IoError>([&] { evaluate_scene(model, other, options); }) ==
           scene.truth_file.string() + ": no such file, wanted the truth to score against");
+    other = scene;
+    other.classes = Tensor(scene.classes.shape(), 9.f);
+    CHECK(error_of<IoError>([&] { evaluate_scene(model, other, options); }) ==
+          scene.truth_file.string() +
+              ": no height that counts, wanted some that two of the first 3 images of SIM_001 see "
+              "and that are no water");
+    other.classes = Tensor({3, 4}, 2.f);
+    CHECK(error_of<ShapeError>([&] {
+            evaluate_scene(model, other, options);
+          }).starts_with("evaluate: classes has shape [3,4], expected [H W] with "));
+    int told = 0;
+    options.progress = [&](const std::string&, double) {
+      if (++told > 1) throw Error("enough");  // within the first scene
+    };
+    CHECK(error_of<Error>([&] { evaluate_data(model, folder.path, options); }) ==
+          folder.path.string() + ": SIM_001: enough");
+    options.progress = nullptr;
     options.window = 16;
     CHECK(error_of<IoError>([&] { evaluate_scene(model, scene, options); }) ==
           folder.path.string() + ": a window of 16 px in SIM_001, wanted at least " +

@@ -12,6 +12,7 @@
 
 #include "tests/gradcheck.h"
 #include "tests/ref/ssim_ref.h"
+#include "tests/small_lpips.h"
 #include "tests/temp_folder.h"
 #include <OpenImageIO/imageio.h>
 
@@ -100,6 +101,20 @@ TEST_CASE("score_images") {
     const ImageScores none = score_images(a, b, Tensor({H, W}));
     CHECK(std::isnan(none.psnr));
     CHECK(std::isnan(none.ssim_conv));
+    CHECK(!none.lpips);
+  }
+  SUBCASE("nor has LPIPS a value where no pixel counts, else the two would be equal") {
+    const nn::Lpips lpips = test::small_lpips();
+    const Index side = lpips.smallest_side() + 1;
+    const Tensor p = noise({3, side, side}, 3), q = noise({3, side, side}, 4);
+    Tensor mask({side, side});
+    const ImageScores none = score_images(p, q, mask, &lpips);
+    REQUIRE(none.lpips);
+    CHECK(std::isnan(*none.lpips));
+    CHECK(none.lpips_backbone == "alex");
+    for (Index i = 0; i < side * side / 2; ++i) mask[i] = 1;
+    CHECK(*score_images(p, q, mask, &lpips).lpips > 0);
+    CHECK(*score_images(p, q, {}, &lpips).lpips > 0);
   }
 }
 

@@ -225,6 +225,30 @@ TEST_CASE("compare_dsm") {
         "compare_dsm: no cell with both a predicted and a true height, wanted overlapping surfaces",
         Error);
   }
+  SUBCASE("or all cells are missing") {
+    HeightField nothing = truth;
+    nothing.z = Tensor({210, 170}, kNan);
+    Tensor mask({210, 170});
+    for (Index i = 0; i < 100; ++i) mask[i] = 1;
+    for (const Registration r : {Registration::none, Registration::z, Registration::xyz}) {
+      const DsmComparison c = compare_dsm(nothing, truth, r, mask, false);
+      CHECK(c.shift == std::array<double, 3>{0, 0, 0});
+      for (const HeightScores& s : {c.raw, c.registered}) {
+        CHECK(s.truth == 100);
+        CHECK(s.compared == 0);
+        CHECK(s.completeness == 0);
+        CHECK(s.pag1 == 0);
+        CHECK(s.pag7_5 == 0);
+        CHECK(std::isnan(s.pag7_5_compared));
+        CHECK(std::isnan(s.mae));
+      }
+      CHECK(c.error.shape() == Shape{210, 170});
+      CHECK(std::isnan(c.error[0]));
+    }
+    const DsmComparison met = compare_dsm(truth, truth, Registration::z, mask, false);
+    CHECK(met.registered.completeness == 1);
+    CHECK(met.registered.mae == 0);
+  }
 }
 
 TEST_CASE("registration_from") {

@@ -2,6 +2,7 @@
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/train/augment.h"
+#include "satsurf/train/checkpoint.h"
 #include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/record.h"
 #include "satsurf/train/simulate/scene.h"

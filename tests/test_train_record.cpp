@@ -71,7 +71,7 @@ TEST_CASE("record: holds what a run depended on") {
   const auto j = load_json_file(folder / "out/run.json");
   CHECK(j["program"] == "satsurf");
   CHECK(std::regex_match(j["version"].get<std::string>(), std::regex(R"(\d+\.\d+\.\d+)")));
-  CHECK(std::regex_match(j["git"].get<std::string>(), std::regex("[0-9a-f]{40}|unknown")));
+  CHECK(std::regex_match(j["git"].get<std::string>(), std::regex("[0-9a-f]{40}(-dirty)?|unknown")));
   CHECK(j["command"] == "train");
   CHECK(j["config"] == nlohmann::json{{"lr", 0.5}});
   CHECK(j["seed"] == 18446744073709551615U);

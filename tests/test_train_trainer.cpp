@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/train/checkpoint.h"
 #include "satsurf/train/loss.h"
 #include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/record.h"
@@ -145,10 +146,10 @@ TEST_CASE("weights say where they come from") {
   }
 }
 
-TEST_CASE("samples are a function of seed and step, and loss terms of their switches") {
+TEST_CASE("samples are a function of seed and step") {
   std::vector<Scene> scenes;
   for (const std::string& name : list_scenes(data())) scenes.push_back(load_scene(data(), name));
-  TrainConfig config = tiny(1);
+  const TrainConfig config = tiny(1);
   const Crop a = training_sample(config, scenes, 7, 3), b = training_sample(config, scenes, 7, 3),
              c = training_sample(config, scenes, 7, 4);
   const auto pixels = [](const Crop& crop) {
@@ -157,52 +158,23 @@ TEST_CASE("samples are a function of seed and step, and loss terms of their swit
   };
   CHECK(pixels(a) == pixels(b));
   CHECK(pixels(a) != pixels(c));
-  config.model = nn::model_preset("tiny_full");
-  const nn::Model model(config.model, 1);
-  const auto stages = model.forward(a.input);
-  const auto total = [&](const LossConfig& of, const LossContext& context = {}) {
-    return static_cast<double>(
-        training_loss(of, config.model, stages, a, context).total.value().item());
-  };
-  // Every term counts, and the heights' alone are proportional to their weight.
-  LossConfig terms = config;
-  double before = total(terms);
-  for (double LossConfig::*term : {&LossConfig::colour_weight, &LossConfig::ssim_weight,
-                                   &LossConfig::geo_weight, &LossConfig::render_height_weight}) {
-    terms.*term = 0;
-    const double after = total(terms);
-    CHECK(after < before);
-    before = after;
-  }
-  terms.height_weight = 2;
-  CHECK(total(terms) == doctest::Approx(2 * before));
+}
 
-  // Appearance alone: all pixels while it warms up, only the confident ones after; and what is not
-  // confident goes to geometry.
-  LossConfig appearance = terms;
-  appearance.height_weight = 0;
-  appearance.colour_weight = 1;
-  LossConfig geometry = terms;
-  geometry.height_weight = 0;
-  geometry.geo_weight = 1;
-  LossConfig none = appearance;
-  none.routing = "none";
-  const LossContext warm{.step = 5, .seed = 3}, late{.step = 100'000, .seed = 3};
-  CHECK(total(appearance, warm) == doctest::Approx(total(none, late)));
-  CHECK(total(appearance, late) < 0.9 * total(none, late));
-  const double routed = total(geometry, late);
-  geometry.routing = "none";
-  CHECK(routed <= total(geometry, late));
-  CHECK(routed > 0);
-  geometry.geo_target = "dsm";
-  const double dsm = total(geometry, late);
-  geometry.geo_target = "mono";
-  const double mono = total(geometry, late);
-  geometry.geo_target = "both";
-  CHECK(total(geometry, late) == doctest::Approx(dsm + mono));
-  CHECK(total(geometry, {.step = 100'001, .seed = 3}) != total(geometry, late));  // other patches
-  geometry.geo_weight = 0;
-  CHECK_THROWS_AS(total(geometry, late), Error);
+TEST_CASE("settings without effect are told") {
+  TrainConfig config = tiny(1);  // has no monocular branch
+  CHECK(idle_settings(config) ==
+        std::vector<std::string>{
+            "no perceptual loss: lpips_weights names no file",
+            "no correlation with relative heights: the network has no monocular branch"});
+  config.geo_target = "dsm";
+  config.lpips_weights = "l.safetensors";
+  CHECK(idle_settings(config).empty());
+  config.mono_weights = "m.safetensors";
+  CHECK(idle_settings(config) ==
+        std::vector<std::string>{"mono_weights is not read: the network has no monocular branch"});
+  config.model.mono = "own";
+  config.geo_target = "mono";
+  CHECK(idle_settings(config).empty());
 }
 
 TEST_CASE("resuming with another configuration or seed is refused") {
@@ -296,6 +268,11 @@ TEST_CASE("a network with more parts starts from one with fewer") {
 
   whole.init = (folder / "out" / "weights.safetensors").string();
   CHECK_FALSE(needs_branch(whole));
+  CHECK(error_of<ConfigError>([&] {
+          train::train(whole, data(), fresh(folder / "no"), 4, false, {});
+        }).ends_with("has a monocular branch already, expected one of them"));
+  whole.mono_weights.clear();
+  train::train(whole, data(), fresh(folder / "again"), 4, false, {});
   whole.model.base = 6;
   CHECK_THROWS_AS(train::train(whole, data(), fresh(folder / "no"), 4, false, {}), IoError);
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/train/checkpoint.h"
+
+#include "satsurf/core/error.h"
 #include "satsurf/core/fields_json.h"
-#include "satsurf/train/mono_trainer.h"
-#include "satsurf/train/trainer.h"
 
 #include <nlohmann/json.hpp>
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/atomic_file.h"
+#include "satsurf/train/checkpoint.h"
 #include "satsurf/train/commands.h"
 #include "satsurf/train/evaluate.h"
 #include "satsurf/train/output_folder.h"
@@ -8,7 +9,9 @@
 
 #include <cmath>
 #include <cstdio>
+#include <map>
 #include <optional>
+#include <set>
 #include <utility>
 
 #include <nlohmann/json.hpp>
@@ -50,37 +53,60 @@ void print_scenes(const std::vector<SceneScores>& scores) {
   }
 }
 
-/// mean  numbers by name, null for those that do not exist
-void print_mean(const nlohmann::ordered_json& mean, const std::string& registration) {
-  const auto of = [&](const std::string& key) {
-    return mean[key].is_null() ? std::nan("") : mean[key].get<double>();
-  };
+/// The means of `scores_json` by name. Remembers which were asked for.
+class Means {
+ public:
+  explicit Means(const nlohmann::ordered_json& table) : table_(table) {}
+  /// NaN for a number that no scene has.
+  double of(const std::string& name) {
+    asked_.insert(name);
+    const auto& mean = table_["mean"][name];
+    return mean.is_null() ? std::nan("") : mean.get<double>();
+  }
+  /// Names those that some scenes have no part in, for a failure may be the reason.
+  void print_fewer() const {
+    std::map<Index, std::string> names;
+    for (const auto& [name, scenes] : table_["mean_scenes"].items())
+      if (scenes > 0 && asked_.contains(name)) names[scenes.get<Index>()] += " " + name;
+    for (const auto& [scenes, list] : names)
+      std::printf("mean of %td of %zu scenes:%s\n", scenes, table_["scenes"].size(), list.c_str());
+  }
+
+ private:
+  const nlohmann::ordered_json& table_;
+  std::set<std::string> asked_;
+};
+
+void print_mean(Means& mean, const std::string& registration) {
   const auto row = [&](const std::string& group) {
-    return heights_cells(of(group + "_mae"), of(group + "_rmse"), of(group + "_pag1"),
-                         of(group + "_pag2.5"), of(group + "_pag7.5"), of(group + "_completeness"));
+    return heights_cells(mean.of(group + "_mae"), mean.of(group + "_rmse"),
+                         mean.of(group + "_pag1"), mean.of(group + "_pag2.5"),
+                         mean.of(group + "_pag7.5"), mean.of(group + "_completeness"));
   };
-  std::printf(
-      "%-16s%s%s%s%s%s\n", "mean", row("dsm").c_str(), cell(9, 3, of("mvs_source_mae")).c_str(),
-      cell(9, 2, of("render_target_psnr")).c_str(), cell(9, 4, of("render_target_ssim")).c_str(),
-      cell(9, 4, of("render_target_lpips")).c_str());
+  std::printf("%-16s%s%s%s%s%s\n", "mean", row("dsm").c_str(),
+              cell(9, 3, mean.of("mvs_source_mae")).c_str(),
+              cell(9, 2, mean.of("render_target_psnr")).c_str(),
+              cell(9, 4, mean.of("render_target_ssim")).c_str(),
+              cell(9, 4, mean.of("render_target_lpips")).c_str());
   std::printf("\n%-16s%s\n", "mean", kHeightsHead);
-  for (const auto& [title, group] :
-       {std::pair<const char*, std::string>{"DSM", "dsm_" + registration},
-        {"DSM, filled", "dsm_filled_" + registration},
-        {"source views", "mvs_source"},
-        {"target view", "render_target"}})
+  for (const auto& [title, group] : {std::pair<const char*, std::string>{"DSM", "dsm"},
+                                     {"DSM, filled", "dsm_filled_" + registration},
+                                     {"source views", "mvs_source"},
+                                     {"target view", "render_target"}})
     std::printf("%-16s%s\n", title, row(group).c_str());
+  if (const double covered = mean.of("render_target_covered"); std::isfinite(covered))
+    std::printf("%-16s colours scored on %.1f%% of the valid pixels, where surfels cover them\n",
+                "target view", 100 * covered);
 }
 
-/// mean  as above
-void print_meshes(const nlohmann::ordered_json& mean) {
+void print_meshes(Means& mean) {
   for (const auto& [title, group] : {std::pair<const char*, std::string>{"mesh", "mesh"},
                                      {"mesh, no walls", "mesh_without_walls"}}) {
-    if (mean[group + "_chamfer"].is_null()) return;
+    const double chamfer = mean.of(group + "_chamfer");
+    if (!std::isfinite(chamfer)) return;
     std::printf("%-16s chamfer %.3f m, F1 %.3f within 0.5 m, %.3f within 1 m, %.3f within 2.5 m\n",
-                title, mean[group + "_chamfer"].get<double>(),
-                mean[group + "_f1_0.5"].get<double>(), mean[group + "_f1_1"].get<double>(),
-                mean[group + "_f1_2.5"].get<double>());
+                title, chamfer, mean.of(group + "_f1_0.5"), mean.of(group + "_f1_1"),
+                mean.of(group + "_f1_2.5"));
   }
 }
 
@@ -88,9 +114,11 @@ void print_meshes(const nlohmann::ordered_json& mean) {
 void print_confidence(const char* title, const ConfidenceErrors& errors) {
   const std::vector<ConfidenceBin> bins = errors.equal_count();
   if (bins.empty()) return;
-  std::printf("%-16s MAE %.3f m at confidence %.2f, %.3f m at %.2f; it %s with confidence\n", title,
-              bins.front().mae, bins.front().confidence, bins.back().mae, bins.back().confidence,
-              errors.monotone() ? "always falls" : "does not always fall");
+  std::printf("%-16s MAE %.3f m at confidence %.2f, %.3f m at %.2f; %s\n", title, bins.front().mae,
+              bins.front().confidence, bins.back().mae, bins.back().confidence,
+              bins.size() < ConfidenceErrors::kFewest ? "too few bins to tell whether it falls"
+              : errors.monotone()                     ? "it always falls with confidence"
+                                                      : "it does not always fall with confidence");
 }
 
 }  // namespace
@@ -122,34 +150,40 @@ void run_evaluate_data(const EvaluateDataOptions& options) {
                         {"weights", weights},
                         {"lpips_weights", options.lpips_weights},
                         {"views", options.views},
+                        {"window", how.window},
                         {"register", options.registration},
                         {"mask_water", options.mask_water},
                         {"meshes", options.meshes}};
   RunRecord record("evaluate", config, 0);
   const DataScores scores = evaluate_data(model, options.data, how);
   const nlohmann::ordered_json table = scores_json(scores);
+  const std::vector<NamedConfidence> confidence{
+      {"mvs_source", "Source views", &scores.confidence.mvs_source},
+      {"dsm", "DSM", &scores.confidence.dsm}};
+
+  // before any file is written: a full disk must not cost the result
+  print_scenes(scores.scenes);
+  Means mean(table);
+  print_mean(mean, options.registration);
+  print_meshes(mean);
+  mean.print_fewer();
+  if (lpips)
+    std::printf("LPIPS by %s\n", nn::lpips_backbone_name(lpips->backbone()));
+  else
+    std::printf("no LPIPS: no --lpips-weights given\n");
+  for (const NamedConfidence& c : confidence) print_confidence(c.title.c_str(), *c.errors);
+  std::fflush(stdout);
+
   if (!options.json.empty()) {
     for (const fs::path& input : inputs) record.add_input(input);
     record.results() = table;
     record.save(options.json);
   }
   if (!options.csv.empty()) atomic_write(options.csv, scores_csv(scores.scenes));
-  const std::vector<NamedConfidence> confidence{
-      {"mvs_source", "Source views", &scores.confidence.mvs_source},
-      {"dsm", "DSM", &scores.confidence.dsm}};
   if (!options.confidence_csv.empty())
     atomic_write(options.confidence_csv, confidence_csv(confidence));
   if (!options.confidence_figure.empty())
     atomic_write(options.confidence_figure, confidence_svg(confidence));
-
-  print_scenes(scores.scenes);
-  print_mean(table["mean"], options.registration);
-  print_meshes(table["mean"]);
-  if (lpips)
-    std::printf("LPIPS by %s\n", nn::lpips_backbone_name(lpips->backbone()));
-  else
-    std::printf("no LPIPS: no --lpips-weights given\n");
-  for (const NamedConfidence& c : confidence) print_confidence(c.title.c_str(), *c.errors);
 }
 
 }  // namespace satsurf::train

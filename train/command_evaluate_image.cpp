@@ -24,19 +24,17 @@ std::string size_of(const Tensor& picture) {
   return std::to_string(picture.dim(2)) + " x " + std::to_string(picture.dim(1)) + " px";
 }
 
-/// [H W], 1 where a pixel counts; empty for all.
+/// [H W], 1 where a pixel counts: where any channel of the mask is above 0. Empty for all.
 Tensor read_mask(const EvaluateImageOptions& options, const Tensor& image) {
   if (options.mask.empty()) return {};
   const Tensor picture = read_picture(options.mask);
   if (picture.dim(1) != image.dim(1) || picture.dim(2) != image.dim(2))
     throw IoError(options.mask.string() + ": " + size_of(picture) + ", wanted " + size_of(image) +
                   " as " + options.image.string());
-  auto mask = Tensor::uninitialised({picture.dim(1), picture.dim(2)});
+  Tensor mask({picture.dim(1), picture.dim(2)});
   bool any = false;
-  for (Index i = 0; i < mask.count(); ++i) {
-    mask[i] = picture[i] > 0 ? 1.f : 0.f;
-    any = any || picture[i] > 0;
-  }
+  for (Index i = 0; i < picture.count(); ++i)
+    if (picture[i] > 0) mask[i % mask.count()] = 1, any = true;
   if (!any) throw IoError(options.mask.string() + ": 0 everywhere, wanted a pixel that counts");
   return mask;
 }

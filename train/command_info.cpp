@@ -2,6 +2,7 @@
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/safetensors.h"
 #include "satsurf/rpc/read.h"
+#include "satsurf/train/checkpoint.h"
 #include "satsurf/train/commands.h"
 #include "satsurf/train/views.h"
 

@@ -3,6 +3,7 @@
 
 #include "satsurf/rpc/fit.h"
 #include "satsurf/rpc/frame.h"
+#include "satsurf/rpc/raster.h"
 #include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/simulate/scene.h"
 #include "satsurf/train/trainer.h"
@@ -137,5 +138,12 @@ std::vector<std::string> frame_comments(const rpc::LocalFrame& frame);
 /// throws  IoError if the lines do not name a frame
 rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
                                     const std::string& where);
+
+/// Writes a GeoTIFF of what is known on the grid of a local field.
+/// values  [H W], NaN where unknown
+/// offset  added to every value: the frame's `h0` makes local heights ellipsoidal
+/// throws  IoError
+void write_field(const std::filesystem::path& path, const Tensor& values, const HeightField& grid,
+                 const rpc::LocalFrame& frame, double offset, const rpc::GeoTags& tags);
 
 }  // namespace satsurf::train

@@ -104,7 +104,7 @@ bool ConfidenceErrors::monotone() const {
   const std::vector<ConfidenceBin> bins = equal_count();
   for (std::size_t k = 1; k < bins.size(); ++k)
     if (!(bins[k].mae < bins[k - 1].mae)) return false;
-  return bins.size() > 1;
+  return bins.size() >= kFewest;
 }
 
 nlohmann::ordered_json confidence_json(const ConfidenceErrors& errors) {

@@ -4,6 +4,7 @@
 #include "satsurf/core/tensor.h"
 
 #include <array>
+#include <cstddef>
 #include <string>
 #include <vector>
 
@@ -40,10 +41,11 @@ class ConfidenceErrors {
   /// counts differ by up to a slice's, and there are fewer bins where a slice has more than a bin.
   std::vector<ConfidenceBin> equal_count() const;
   /// Whether each bin of `equal_count` has a smaller mean |error| than the one before; false for
-  /// less than two.
+  /// fewer than kFewest, which are no trend.
   bool monotone() const;
 
   static constexpr Index kBins = 10;
+  static constexpr std::size_t kFewest = 3;  ///< two bins fall by chance every other time
 
  private:
   struct Slice {
@@ -68,8 +70,9 @@ struct NamedConfidence {
 /// confidence, pixels, share (of all pixels), mae, rmse, pag1, pag2.5, pag7.5. Cells of numbers that
 /// do not exist are empty.
 std::string confidence_csv(const std::vector<NamedConfidence>& all);
-/// The same drawn, as SVG: for each a row of two bar charts of the mean |error| with the root of
-/// the mean square marked, over bins of equal width and of equal count.
+/// The same drawn, as SVG: for each two pairs of bar charts, over bins of equal width and of equal
+/// count. The upper one has the mean |error| with the root of the mean square marked, the lower one
+/// the shares of the pixels with |error| < 1, 2.5, 7.5 m, one bar within the other.
 std::string confidence_svg(const std::vector<NamedConfidence>& all);
 
 }  // namespace satsurf::train

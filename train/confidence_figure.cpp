@@ -2,6 +2,7 @@
 #include "satsurf/train/confidence.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 
@@ -9,10 +10,20 @@ namespace satsurf::train {
 namespace {
 
 // px
-constexpr double kPanelWidth = 360, kPanelHeight = 190, kLeft = 64, kGap = 76, kTop = 92,
-                 kBelow = 62, kRow = kPanelHeight + kBelow + 62;
-constexpr double kWidth = kLeft + 2 * kPanelWidth + kGap + 24;
+constexpr double kPanelWidth = 360, kErrorHeight = 170, kShareHeight = 110, kBetween = 20,
+                 kLeft = 64, kRight = 24, kGap = 76, kTop = 100, kBelow = 62,
+                 kRow = kErrorHeight + kBetween + kShareHeight + kBelow + 62;
+constexpr double kWidth = kLeft + 2 * kPanelWidth + kGap + kRight;
 constexpr const char *kBar = "#4a7ab5", *kMark = "#b2432f", *kInk = "#222222", *kGrid = "#dddddd";
+
+/// A share of a bin's pixels that is drawn, widest bound first, so that each lies within the last.
+struct Share {
+  const char *bound, *colour;
+  double ConfidenceBin::*value;
+};
+constexpr std::array<Share, 3> kShares{{{"7.5 m", "#c4dfc6", &ConfidenceBin::pag7_5},
+                                        {"2.5 m", "#7fb885", &ConfidenceBin::pag2_5},
+                                        {"1 m", "#35783f", &ConfidenceBin::pag1}}};
 
 /// printf to a string.
 template <class... Args>
@@ -44,6 +55,11 @@ std::string line(double x0, double y0, double x1, double y1, const char* colour,
       x0, y0, x1, y1, colour, width);
 }
 
+std::string box(double x, double y, double width, double height, const char* colour) {
+  return formatted("<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\" fill=\"%s\"/>\n", x,
+                   y, width, height, colour);
+}
+
 /// A step of 1, 2 or 5 times a power of ten that cuts [0, high] into four to ten.
 double tick_step(double high) {
   const double power = std::pow(10, std::floor(std::log10(high)));
@@ -59,33 +75,73 @@ double highest_of(const std::vector<ConfidenceBin>& bins) {
   return highest;
 }
 
-/// A bar chart of bins that stand next to each other.
-/// highest the least that the axis of errors reaches to, m
-/// widths  true: edges of the confidence are named, and the share of pixels; false: the mean
-///         confidence of each bin
-std::string panel(double x0, double y0, const std::vector<ConfidenceBin>& bins, double highest,
-                  bool widths) {
-  double pixels = 0;
-  for (const ConfidenceBin& b : bins) pixels += static_cast<double>(b.pixels);
-  const double bottom = y0 + kPanelHeight, step = tick_step(highest > 0 ? highest : 1),
-               top = std::max(1.0, std::ceil(highest / step - 1e-9)) * step;
-  const auto y_of = [&](double v) { return bottom - v / top * kPanelHeight; };
-  const double slot = kPanelWidth / static_cast<double>(std::max<std::size_t>(bins.size(), 1));
-
+/// The frame of a chart: lines across it at every `step` up to `top`, each with its number, and
+/// what these are.
+std::string axes(double x0, double y0, double height, double top, double step,
+                 const std::string& title) {
+  const double bottom = y0 + height;
   std::string out;
   for (int k = 0; k * step < top * (1 + 1e-9); ++k) {
-    const double y = y_of(k * step);
+    const double y = bottom - k * step / top * height;
     out += line(x0, y, x0 + kPanelWidth, y, kGrid, 1);
     out += text_at(x0 - 7, y + 4, "end", formatted("%.6g", k * step));
   }
+  const double x = x0 - 44, y = y0 + height / 2;
+  return out +
+         text_at(x, y, "middle", title, formatted("transform=\"rotate(-90 %.1f %.1f)\"", x, y));
+}
+
+double slot_of(const std::vector<ConfidenceBin>& bins) {
+  return kPanelWidth / static_cast<double>(std::max<std::size_t>(bins.size(), 1));
+}
+
+/// Bars of the mean |error| and marks of the root of the mean square, bins next to each other.
+/// highest  the least that the axis reaches to, m
+std::string error_chart(double x0, double y0, const std::vector<ConfidenceBin>& bins,
+                        double highest) {
+  const double step = tick_step(highest > 0 ? highest : 1),
+               top = std::max(1.0, std::ceil(highest / step - 1e-9)) * step,
+               bottom = y0 + kErrorHeight, slot = slot_of(bins);
+  const auto y_of = [&](double v) { return bottom - v / top * kErrorHeight; };
+  std::string out = axes(x0, y0, kErrorHeight, top, step, "height error, m");
+  for (std::size_t k = 0; k < bins.size(); ++k) {
+    const ConfidenceBin& b = bins[k];
+    if (b.pixels == 0) continue;
+    const double x = x0 + slot * static_cast<double>(k);
+    out += box(x + 0.1 * slot, y_of(b.mae), 0.8 * slot, bottom - y_of(b.mae), kBar);
+    out += line(x + 0.1 * slot, y_of(b.rmse), x + 0.9 * slot, y_of(b.rmse), kMark, 2.5);
+  }
+  out += line(x0, y0, x0, bottom, kInk, 1);
+  return out + line(x0, bottom, x0 + kPanelWidth, bottom, kInk, 1);
+}
+
+/// Bars of the shares within the bounds, in per cent of a bin's pixels.
+std::string share_chart(double x0, double y0, const std::vector<ConfidenceBin>& bins) {
+  const double bottom = y0 + kShareHeight, slot = slot_of(bins);
+  std::string out = axes(x0, y0, kShareHeight, 100, 25, "share within, %");
+  for (std::size_t k = 0; k < bins.size(); ++k) {
+    const ConfidenceBin& b = bins[k];
+    if (b.pixels == 0) continue;
+    const double x = x0 + slot * static_cast<double>(k);
+    for (const Share& s : kShares)
+      out += box(x + 0.1 * slot, bottom - b.*s.value * kShareHeight, 0.8 * slot,
+                 b.*s.value * kShareHeight, s.colour);
+  }
+  out += line(x0, y0, x0, bottom, kInk, 1);
+  return out + line(x0, bottom, x0 + kPanelWidth, bottom, kInk, 1);
+}
+
+/// What stands below the charts of bins.
+/// widths  true: edges of the confidence are named, and the share of pixels; false: the mean
+///         confidence of each bin
+std::string labels(double x0, double bottom, const std::vector<ConfidenceBin>& bins, bool widths) {
+  double pixels = 0;
+  for (const ConfidenceBin& b : bins) pixels += static_cast<double>(b.pixels);
+  const double slot = slot_of(bins);
+  std::string out;
   for (std::size_t k = 0; k < bins.size(); ++k) {
     const ConfidenceBin& b = bins[k];
     const double x = x0 + slot * static_cast<double>(k), middle = x + slot / 2;
-    if (b.pixels > 0) {
-      out += formatted("<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\" fill=\"%s\"/>\n",
-                       x + 0.1 * slot, y_of(b.mae), 0.8 * slot, bottom - y_of(b.mae), kBar);
-      out += line(x + 0.1 * slot, y_of(b.rmse), x + 0.9 * slot, y_of(b.rmse), kMark, 2.5);
-    }
     if (widths) {
       const double share = 100 * static_cast<double>(b.pixels) / pixels;
       out += text_at(middle, bottom + 30, "middle",
@@ -99,17 +155,44 @@ std::string panel(double x0, double y0, const std::vector<ConfidenceBin>& bins, 
       out += text_at(middle, bottom + 15, "middle", formatted("%.2f", b.confidence));
     }
   }
-  out += line(x0, y0, x0, bottom, kInk, 1);
-  out += line(x0, bottom, x0 + kPanelWidth, bottom, kInk, 1);
   const double centre = x0 + kPanelWidth / 2;
-  if (widths) {
-    out += text_at(centre, bottom + 47, "middle", "confidence; below it the share of pixels, %");
-  } else {
-    out += text_at(centre, bottom + 33, "middle", "mean confidence of bins of equally many pixels");
+  return out + (widths ? text_at(centre, bottom + 47, "middle",
+                                 "confidence; below it the share of pixels, %")
+                       : text_at(centre, bottom + 33, "middle",
+                                 "mean confidence of bins of equally many pixels"));
+}
+
+/// Two charts, one above the other over one axis of confidence.
+std::string panel(double x0, double y0, const std::vector<ConfidenceBin>& bins, double highest,
+                  bool widths) {
+  const double shares = y0 + kErrorHeight + kBetween;
+  return error_chart(x0, y0, bins, highest) + share_chart(x0, shares, bins) +
+         labels(x0, shares + kShareHeight, bins, widths);
+}
+
+/// Whether the error falls with confidence, in words.
+std::string trend(const ConfidenceErrors& errors, std::size_t bins) {
+  std::string text = std::to_string(errors.pixels()) + " pixels; ";
+  const std::string number = std::to_string(bins);
+  if (bins < ConfidenceErrors::kFewest)
+    return text + number + (bins == 1 ? " bin" : " bins") +
+           " of equal count, too few to tell whether the mean error falls";
+  return text + "the mean error " + (errors.monotone() ? "falls" : "does not always fall") +
+         " over " + number + " bins of equal count";
+}
+
+/// What colours and marks mean, its right end at x.
+std::string legend(double x) {
+  std::string out = box(x - 252, 18, 18, 11, kBar);
+  out += text_at(x - 227, 28, "start", "mean |error|");
+  out += line(x - 133, 24, x - 115, 24, kMark, 2.5);
+  out += text_at(x - 108, 28, "start", "root mean square");
+  x -= 71 * static_cast<double>(kShares.size());
+  out += text_at(x - 12, 50, "end", "share of a bin's pixels with |error| <");
+  for (auto s = kShares.rbegin(); s != kShares.rend(); ++s, x += 71) {
+    out += box(x, 40, 18, 11, s->colour);
+    out += text_at(x + 25, 50, "start", s->bound);
   }
-  const double x = x0 - 44, y = y0 + kPanelHeight / 2;
-  out += text_at(x, y, "middle", "height error, m",
-                 formatted("transform=\"rotate(-90 %.1f %.1f)\"", x, y));
   return out;
 }
 
@@ -125,23 +208,16 @@ std::string confidence_svg(const std::vector<NamedConfidence>& all) {
   out += "<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n";
   out += text_at(kLeft, 28, "start", "Height error by confidence",
                  "font-size=\"17\" font-weight=\"bold\"");
-  double x = kWidth - 264;
-  out += formatted("<rect x=\"%.1f\" y=\"18\" width=\"18\" height=\"11\" fill=\"%s\"/>\n", x, kBar);
-  out += text_at(x + 25, 28, "start", "mean |error|");
-  x += 118;
-  out += line(x, 24, x + 18, 24, kMark, 2.5);
-  out += text_at(x + 25, 28, "start", "root mean square");
+  out += legend(kWidth - kRight);
   for (std::size_t k = 0; k < all.size(); ++k) {
     const double y = kTop + kRow * static_cast<double>(k);
     const ConfidenceErrors& e = *all[k].errors;
+    const std::vector<ConfidenceBin> width = e.equal_width(), count = e.equal_count();
     out += text_at(kLeft, y - 18, "start", all[k].title, "font-size=\"14\" font-weight=\"bold\"");
-    out += text_at(kWidth - 24, y - 18, "end",
-                   std::to_string(e.pixels()) + " pixels; the error " +
-                       (e.monotone() ? "falls" : "does not fall") + " from each tenth to the next");
-    const std::vector<ConfidenceBin> width = e.equal_width(), tenths = e.equal_count();
-    const double highest = std::max(highest_of(width), highest_of(tenths));  // one scale for both
+    out += text_at(kWidth - kRight, y - 18, "end", trend(e, count.size()));
+    const double highest = std::max(highest_of(width), highest_of(count));  // one scale for both
     out += panel(kLeft, y, width, highest, true);
-    out += panel(kLeft + kPanelWidth + kGap, y, tenths, highest, false);
+    out += panel(kLeft + kPanelWidth + kGap, y, count, highest, false);
   }
   return out + "</svg>\n";
 }

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <fstream>
 #include <set>
 #include <utility>
@@ -207,6 +208,36 @@ Tensor cut(const Tensor& image, Index x0, Index y0, Index size) {
   return out;
 }
 
+/// A raster of the truth.
+/// throws  IoError for one of several bands
+rpc::GeoRaster read_one_band(const fs::path& file, const rpc::UtmZone& zone) {
+  rpc::GeoRaster raster = rpc::read_geo_raster(file, zone);
+  if (raster.values.rank() != 2)
+    throw IoError(file.string() + ": " + std::to_string(raster.values.dim(0)) +
+                  " bands, wanted one");
+  return raster;
+}
+
+/// throws  IoError unless the classes lie on the DSM's cells
+void check_same_grid(const fs::path& file, const rpc::GeoRaster& classes, const fs::path& dsm_file,
+                     const rpc::GeoRaster& dsm) {
+  const auto text_of = [](const rpc::GeoRaster& r) {
+    char text[160];
+    std::snprintf(text, sizeof text, "%td x %td cells of %.10g m from %.10g, %.10g",
+                  r.values.dim(1), r.values.dim(0), r.grid.step, r.grid.x0, r.grid.y0);
+    return std::string(text);
+  };
+  const rpc::GeoGrid &a = classes.grid, &b = dsm.grid;
+  // files that differ in whether a pixel is an area or a point are half a cell apart
+  const double most = 0.6 * b.step,
+               cells = static_cast<double>(std::max(dsm.values.dim(0), dsm.values.dim(1)));
+  if (classes.values.shape() == dsm.values.shape() && std::abs(a.x0 - b.x0) < most &&
+      std::abs(a.y0 - b.y0) < most && std::abs(a.step - b.step) * cells < most)
+    return;
+  throw IoError(file.string() + ": " + text_of(classes) + ", wanted the grid of " +
+                dsm_file.string() + ", " + text_of(dsm));
+}
+
 /// Lowest and highest finite value; NaN if there is none.
 std::pair<double, double> finite_range(const Tensor& z) {
   double low = std::nan(""), high = low;
@@ -274,26 +305,25 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
   scene.frame.zone = rpc::utm_zone_of(centre.lon, centre.lat);
 
   if (fs::exists(files.dsm)) {
-    const rpc::GeoRaster raster = rpc::read_geo_raster(files.dsm, scene.frame.zone);
+    const rpc::GeoRaster raster = read_one_band(files.dsm, scene.frame.zone);
     const auto [z_min, z_max] = finite_range(raster.values);
     if (std::isnan(z_min))
       throw IoError(files.dsm.string() + ": no finite height, expected a surface model");
     low = z_min - kTruthMargin;
     high = z_max + kTruthMargin;
-    const Index H = raster.values.dim(raster.values.rank() - 2),
-                W = raster.values.dim(raster.values.rank() - 1);
+    const Index H = raster.values.dim(0), W = raster.values.dim(1);
     const double step = raster.grid.step;
     scene.frame.easting0 = std::round(raster.grid.x0 + step * static_cast<double>(W) / 2);
     scene.frame.northing0 = std::round(raster.grid.y0 - step * static_cast<double>(H) / 2);
     scene.frame.h0 = std::round((low + high) / 2);
-    HeightField truth{raster.values.reshaped({H, W}), raster.grid.x0 - scene.frame.easting0,
+    HeightField truth{raster.values, raster.grid.x0 - scene.frame.easting0,
                       raster.grid.y0 - scene.frame.northing0, step};
     for (float& z : truth.z.values()) z -= static_cast<float>(scene.frame.h0);
     scene.truth = std::move(truth);
     if (fs::exists(files.classes)) {
-      const rpc::GeoRaster c = rpc::read_geo_raster(files.classes, scene.frame.zone);
-      scene.classes =
-          c.values.reshaped({c.values.dim(c.values.rank() - 2), c.values.dim(c.values.rank() - 1)});
+      const rpc::GeoRaster c = read_one_band(files.classes, scene.frame.zone);
+      check_same_grid(files.classes, c, files.dsm, raster);
+      scene.classes = c.values;
     }
   } else {
     const auto utm = rpc::utm_from_geodetic(scene.frame.zone, centre.lon, centre.lat);

@@ -48,7 +48,8 @@ std::vector<std::string> list_scenes(const std::filesystem::path& folder);
 /// images and truth from the scene's folder or the usual places up to three folders above it.
 /// The height range is the truth's, or without truth that of the JSON files; it stays 0 to 0 where
 /// there is neither.
-/// throws IoError naming the file and, for one that is missing, where it was looked for
+/// throws IoError naming the file and, for one that is missing, where it was looked for; also for
+///        a truth of several bands and for classes that are not on the DSM's grid
 Scene load_scene(const std::filesystem::path& folder, const std::string& name);
 
 /// A square window of every chosen view around one ground point, ready for the network.

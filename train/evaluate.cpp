@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/evaluate.h"
 
+#include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/var.h"
 #include "satsurf/mesh/surface.h"
@@ -19,6 +20,9 @@ namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kWaterClass = 9;  // of DFC2019
+
+/// Whether a pixel shows more surface than background.
+bool covers(float alpha) { return !(alpha < 0.5f); }
 
 /// Joins maps of one width below each other, so that several views are scored as one.
 Tensor stacked(const std::vector<Tensor>& maps) {
@@ -48,45 +52,36 @@ Tensor difference(const Tensor& a, const Tensor& b) {
 void score_dsm(const Reconstruction& made, const HeightField& truth, const Tensor& mask,
                Registration asked, SceneScores& out, ConfidenceScores* confidence) {
   for (const Registration r : {Registration::none, Registration::z, Registration::xyz}) {
-    const DsmComparison c = compare_dsm(made.dsm, truth, r, mask);
+    const DsmComparison c = compare_dsm(made.dsm, truth, r, mask, false);
     RegisteredScores& scores = out.registered[static_cast<std::size_t>(r)];
     scores = {c.registered, score_heights(filled(c.surface), truth.z, mask), c.shift};
     if (r == asked) out.dsm = c;
   }
-  if (confidence == nullptr) return;
-  const HeightField sure{made.confidence, made.dsm.x0 + out.dsm.shift[0],
-                         made.dsm.y0 + out.dsm.shift[1], made.dsm.step};
-  confidence->dsm.add(resample(sure, truth), out.dsm.error);
+  if (confidence != nullptr) {
+    const HeightField sure{made.confidence, made.dsm.x0 + out.dsm.shift[0],
+                           made.dsm.y0 + out.dsm.shift[1], made.dsm.step};
+    confidence->dsm.add(resample(sure, truth), out.dsm.error);
+  }
+  out.dsm.surface = out.dsm.error = {};  // scores are kept for all scenes
 }
 
-/// The surface against the true one, as meshes. Nothing where one of them has none.
-std::optional<mesh::MeshComparison> score_meshes(const Reconstruction& made, const Scene& scene,
-                                                 const Tensor& mask,
-                                                 const std::array<double, 3>& shift) {
-  std::vector<mesh::HeightView> found, known;
-  for (const SceneView& view : scene.views) {
-    found.push_back(rendered_view(made.surfels, view, scene).heights);
-    known.push_back(true_view(*scene.truth, view, scene));
-    for (mesh::HeightView* v : {&found.back(), &known.back()}) keep_inside(*v, *scene.truth, mask);
-    found.back().rgb = {};
+/// Cells of the truth that are scored.
+/// views   the sources
+/// throws  IoError if there are none
+Tensor scored_cells(const Scene& scene, const std::vector<SceneView>& views, bool mask_water) {
+  std::vector<ImageCamera> cameras;
+  for (const SceneView& v : views) cameras.push_back({v.rpc, v.rgb.dim(2), v.rgb.dim(1)});
+  Tensor mask = seen_by_two(*scene.truth, scene.frame, cameras);
+  if (mask_water && !scene.classes.empty()) {
+    Dims("evaluate").match("truth", mask, "H W").match("classes", scene.classes, "H W");
+    const Tensor dry = not_water(scene.classes);
+    for (Index i = 0; i < mask.count(); ++i) mask[i] *= dry[i];
   }
-  const auto mesh_of =
-      [&](const std::vector<mesh::HeightView>& views) -> std::optional<mesh::Mesh> {
-    const bool any = std::any_of(views.begin(), views.end(), [](const mesh::HeightView& v) {
-      return std::any_of(v.height.values().begin(), v.height.values().end(),
-                         [](float z) { return std::isfinite(z); });
-    });
-    mesh::FusionOptions how;
-    how.voxel = made.voxel;
-    return any ? std::optional(mesh::mesh_from_views(views, how)) : std::nullopt;
-  };
-  auto surface = mesh_of(found);
-  const auto truth = mesh_of(known);
-  if (!surface || !truth) return std::nullopt;
-  for (auto& v : surface->vertices)
-    for (std::size_t a = 0; a < 3; ++a)
-      v[a] = static_cast<float>(static_cast<double>(v[a]) + shift[a]);
-  return mesh::compare_meshes(*surface, *truth);
+  if (std::none_of(mask.values().begin(), mask.values().end(), [](float v) { return v > 0; }))
+    throw IoError(scene.truth_file.string() + ": no height that counts, wanted some that two of " +
+                  "the first " + std::to_string(views.size()) + " images of " + scene.name +
+                  " see" + (mask_water ? " and that are no water" : ""));
+  return mask;
 }
 
 /// Heights and colours in the source views and the rendered target, in a window around the middle
@@ -134,7 +129,8 @@ void score_views(const nn::Model& model, const Scene& scene, const EvaluateOptio
       nn::render_view(stages[2].surfels, crop.target->pixel_from_local, side, side, 1);
   Tensor height = render.height.value().clone(), mask = crop.target->valid.clone();
   for (Index p = 0; p < height.count(); ++p)
-    if (render.alpha.value()[p] < 0.5f) height[p] = kNan, mask[p] = 0;  // seen by no source view
+    if (!covers(render.alpha.value()[p])) height[p] = kNan, mask[p] = 0;
+  out.target_covered = covered_share(render.alpha.value(), crop.target->valid);
   out.render_target = score_heights(height, crop.target_truth, crop.target->valid);
   out.target = score_images(render.colour.value(), crop.target->rgb, mask, options.lpips);
 }
@@ -168,6 +164,41 @@ Tensor seen_by_two(const HeightField& truth, const rpc::LocalFrame& frame,
     }
   });
   return mask;
+}
+
+double covered_share(const Tensor& alpha, const Tensor& valid) {
+  Dims("covered_share").match("alpha", alpha, "H W").match("valid", valid, "H W");
+  Index all = 0, covered = 0;
+  for (Index p = 0; p < valid.count(); ++p)
+    if (valid[p] > 0) all += 1, covered += covers(alpha[p]);
+  return all > 0 ? static_cast<double>(covered) / static_cast<double>(all) : std::nan("");
+}
+
+std::optional<mesh::MeshComparison> compare_surfaces(const splat::Surfels& surfels,
+                                                     const Scene& scene, const Tensor& mask,
+                                                     const std::array<double, 3>& shift,
+                                                     double voxel) {
+  // the truth's grid where the surfels see it before they are shifted
+  HeightField grid = *scene.truth;
+  grid.x0 -= shift[0], grid.y0 -= shift[1];
+  std::vector<mesh::HeightView> found, known;
+  for (const SceneView& view : scene.views) {
+    found.push_back(rendered_view(surfels, view, scene).heights);
+    found.back().rgb = {};
+    keep_inside(found.back(), grid, mask);
+    known.push_back(true_view(*scene.truth, view, scene));
+    keep_inside(known.back(), *scene.truth, mask);
+  }
+  mesh::FusionOptions how;
+  how.voxel = voxel;
+  auto surface = mesh::shape_from_views(found, how);
+  if (!surface) return std::nullopt;
+  const auto truth = mesh::shape_from_views(known, how);
+  if (!truth) return std::nullopt;
+  for (auto& v : surface->vertices)
+    for (std::size_t a = 0; a < 3; ++a)
+      v[a] = static_cast<float>(static_cast<double>(v[a]) + shift[a]);
+  return mesh::compare_meshes(*surface, *truth);
 }
 
 DsmPair load_dsm_pair(const std::filesystem::path& prediction, const std::filesystem::path& truth) {
@@ -204,6 +235,7 @@ SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
   for (Index i = 0; i < options.views; ++i) sources.push_back(i);
   Scene seen = scene;
   seen.views.resize(static_cast<std::size_t>(options.views));
+  const Tensor mask = scored_cells(scene, seen.views, options.mask_water);
 
   SceneScores out;
   out.name = scene.name;
@@ -214,18 +246,12 @@ SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
   how.progress = options.progress;
   const Reconstruction made = reconstruct(model, seen, how);
   out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  std::vector<ImageCamera> cameras;
-  for (const SceneView& v : seen.views) cameras.push_back({v.rpc, v.rgb.dim(2), v.rgb.dim(1)});
-  Tensor mask = seen_by_two(*scene.truth, scene.frame, cameras);
-  if (options.mask_water && !scene.classes.empty()) {
-    const Tensor dry = not_water(scene.classes);
-    for (Index i = 0; i < mask.count(); ++i) mask[i] *= dry[i];
-  }
   score_dsm(made, *scene.truth, mask, options.registration, out, confidence);
-  if (options.meshes) out.mesh = score_meshes(made, scene, mask, out.dsm.shift);
+  if (options.meshes)
+    out.mesh = compare_surfaces(made.surfels, scene, mask, out.dsm.shift, made.voxel);
   out.render_target = score_heights(Tensor({1, 1}, kNan), Tensor({1, 1}, kNan));  // none so far
   out.target.psnr = out.target.psnr_fitted = std::nan("");
-  out.target.ssim = out.target.ssim_conv = std::nan("");
+  out.target.ssim = out.target.ssim_conv = out.target_covered = std::nan("");
   score_views(model, scene, options, sources, out, confidence);
   return out;
 }
@@ -244,8 +270,14 @@ DataScores evaluate_data(const nn::Model& model, const std::filesystem::path& fo
         options.progress("evaluate " + names[i],
                          (static_cast<double>(i) + f) / static_cast<double>(names.size()));
       };
-    out.scenes.push_back(
-        evaluate_scene(model, load_scene(folder, names[i]), inner, &out.confidence));
+    try {
+      out.scenes.push_back(
+          evaluate_scene(model, load_scene(folder, names[i]), inner, &out.confidence));
+    } catch (const IoError&) {
+      throw;  // names its file
+    } catch (const Error& e) {
+      throw Error(folder.string() + ": " + names[i] + ": " + e.what());
+    }
   }
   return out;
 }

@@ -45,6 +45,24 @@ struct ImageCamera {
 Tensor seen_by_two(const HeightField& truth, const rpc::LocalFrame& frame,
                    const std::vector<ImageCamera>& images);
 
+/// Share of an image's valid pixels in which a rendered one shows more surface than background.
+/// alpha    [H W] of the rendered image; 0.5 is enough
+/// valid    [H W], > 0 where the image has data
+/// returns  NaN if it has none
+/// throws   ShapeError
+double covered_share(const Tensor& alpha, const Tensor& valid);
+
+/// A surface against the true one, as meshes: fused of the heights that either shows in all views
+/// of a scene, above the cells that count.
+/// mask     [H W] on the truth's grid, > 0 where a cell counts
+/// shift    added to the surfels' mesh: east, north, up, m; its cells are those it then lies above
+/// voxel    of both meshes, m
+/// returns  nothing where one of them has no surface
+std::optional<mesh::MeshComparison> compare_surfaces(const splat::Surfels& surfels,
+                                                     const Scene& scene, const Tensor& mask,
+                                                     const std::array<double, 3>& shift,
+                                                     double voxel);
+
 /// Two height rasters put into one metric frame: the truth's, minus its rounded corner.
 struct DsmPair {
   HeightField prediction, truth;
@@ -57,8 +75,10 @@ DsmPair load_dsm_pair(const std::filesystem::path& prediction, const std::filesy
 
 /// How a network is scored on a data set.
 struct EvaluateOptions {
-  Index views = 3;     ///< sources; the scene's next view, if there is one, is the rendered target
-  Index window = 512;  ///< side of the window in which heights in views are scored, px at most
+  Index views = 3;  ///< sources; the scene's next view, if there is one, is the rendered target
+  /// Side of the window around the truth's middle in which views are scored, px at most: the
+  /// network looks at as much of the sources, and as much of the target is rendered.
+  Index window = 512;
   Registration registration = Registration::none;
   bool mask_water = true;            ///< leave out cells of class 9
   bool meshes = true;                ///< also compare meshes, which takes a few seconds per scene
@@ -74,17 +94,20 @@ struct RegisteredScores {
   std::array<double, 3> shift{0, 0, 0};  ///< added to the prediction: east, north, up, m
 };
 
-/// All numbers of one scene. What needs a target view is NaN without one, its counts 0.
+/// All numbers of one scene. What needs a target view is NaN without one, its counts 0. Of views
+/// only a window counts, see EvaluateOptions.
 struct SceneScores {
   std::string name;
-  DsmComparison dsm;  ///< the reconstructed DSM against the truth, registered as asked
+  /// The reconstructed DSM against the truth, registered as asked; without its rasters, which are
+  /// many over a data set. Where nothing was reconstructed every cell is missing.
+  DsmComparison dsm;
   std::array<RegisteredScores, 3> registered;  ///< the same by each Registration: none, z, xyz
   HeightScores mvs_source;  ///< last-stage network heights of the source views, all pixels pooled
   double mvs_source_rmse_per_view = 0;  ///< the same RMSE view by view, then averaged, m
   HeightScores render_target;           ///< heights rendered in the target view
   ImageScores target;  ///< colours rendered there, where they are opaque and the image is valid
-  /// Meshes fused of the heights that the surfels show, and that the true surface does, in all
-  /// views of the scene, registered as asked; both above the cells that the DSM is scored on.
+  double target_covered = 0;  ///< see `covered_share`: how much of the image these scores are of
+  /// See `compare_surfaces`; registered as asked, above the cells that the DSM is scored on.
   std::optional<mesh::MeshComparison> mesh;
   double seconds = 0;  ///< of the reconstruction, without reading files
 };
@@ -105,31 +128,34 @@ struct DataScores {
 /// height range is the scene's own, as in the protocols of the field; true cells count where two of
 /// these views see them.
 /// confidence  the scene's pixels are added to it, unless nullptr
-/// throws      IoError if the scene has too few views, no truth, or is too small for LPIPS
+/// throws      IoError if the scene has too few views, no truth that counts, or is too small for
+///             LPIPS
 SceneScores evaluate_scene(const nn::Model& model, const Scene& scene,
                            const EvaluateOptions& options, ConfidenceScores* confidence = nullptr);
 
-/// Every scene of a data set, see `list_scenes`.
-/// throws  IoError as above
+/// Every scene of a data set, see `list_scenes`. One of which nothing could be reconstructed counts
+/// as all missing.
+/// throws  IoError as above; Error naming the scene
 DataScores evaluate_data(const nn::Model& model, const std::filesystem::path& folder,
                          const EvaluateOptions& options);
 
-/// {"scenes": [...], "mean": {...}, "lpips_backbone"}: the mean is taken over scenes, not over
-/// cells, and leaves out scenes for which a number does not exist; its names are those of
-/// `scores_csv`.
+/// {"scenes": [...], "mean": {...}, "mean_scenes": {...}, "lpips_backbone"}: the mean is taken over
+/// scenes, not over cells, and leaves out scenes for which a number does not exist, which may
+/// favour a method that fails; its names are those of `scores_csv`. "mean_scenes" says over how
+/// many scenes a mean is, where that is fewer than all.
 nlohmann::ordered_json scores_json(const std::vector<SceneScores>& scores);
 /// The same and "confidence": {"mvs_source", "dsm"}, see `confidence_json`.
 nlohmann::ordered_json scores_json(const DataScores& scores);
 /// One CSV row per scene with every number, and a last row `mean`. Cells of numbers that do not
-/// exist are empty. Columns: GROUP_mae, _rmse, _median, _nmad, _pag1, _pag2.5, _pag7.5,
-/// _completeness, _pag1_compared, _pag2.5_compared, _pag7.5_compared, _truth_cells and
-/// _compared_cells (see HeightScores) for the groups
+/// exist are empty; a name with a comma or a quote stands in quotes. Columns: GROUP_mae, _rmse,
+/// _median, _nmad, _pag1, _pag2.5, _pag7.5, _completeness, _pag1_compared, _pag2.5_compared,
+/// _pag7.5_compared, _truth_cells and _compared_cells (see HeightScores) for the groups
 ///   dsm, mvs_source, render_target       as in SceneScores
 ///   dsm_none, dsm_z, dsm_xyz             the DSM by each registration; then also _east, _north, _up
 ///   dsm_filled_none, .._z, .._xyz        the same with holes filled
 /// then mesh_chamfer, mesh_to_reference, mesh_reference_to_mesh (m), mesh_f1_0.5, _f1_1, _f1_2.5,
-/// the same as mesh_without_walls_*, mvs_source_rmse_per_view, render_target_psnr,
-/// _psnr_fitted, _ssim, _ssim_conv, _lpips, and seconds.
+/// the same as mesh_without_walls_*, mvs_source_rmse_per_view, render_target_psnr, _psnr_fitted,
+/// _ssim, _ssim_conv, _lpips, _covered (SceneScores::target_covered), and seconds.
 std::string scores_csv(const std::vector<SceneScores>& scores);
 
 }  // namespace satsurf::train

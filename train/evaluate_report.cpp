@@ -71,26 +71,40 @@ Row row_of(const SceneScores& s) {
   row.push_back({"render_target_ssim", s.target.ssim});
   row.push_back({"render_target_ssim_conv", s.target.ssim_conv});
   row.push_back({"render_target_lpips", s.target.lpips.value_or(std::nan(""))});
+  row.push_back({"render_target_covered", s.target_covered});
   row.push_back({"seconds", s.seconds});
   return row;
 }
 
 /// Each number on average over the scenes for which it exists, else NaN.
-Row mean_of(const std::vector<SceneScores>& scores) {
-  Row sums;
-  std::vector<double> counts;
+struct Mean {
+  Row row;
+  std::vector<std::size_t> scenes;  ///< how many these are, number by number
+};
+Mean mean_of(const std::vector<SceneScores>& scores) {
+  Mean mean;
   for (const SceneScores& s : scores) {
     const Row row = row_of(s);
-    if (sums.empty()) {
-      for (const auto& [name, value] : row) sums.push_back({name, 0});
-      counts.resize(row.size());
+    if (mean.row.empty()) {
+      for (const auto& [name, value] : row) mean.row.push_back({name, 0});
+      mean.scenes.resize(row.size());
     }
     for (std::size_t k = 0; k < row.size(); ++k)
-      if (std::isfinite(row[k].second)) sums[k].second += row[k].second, counts[k] += 1;
+      if (std::isfinite(row[k].second)) mean.row[k].second += row[k].second, mean.scenes[k] += 1;
   }
-  for (std::size_t k = 0; k < sums.size(); ++k)
-    sums[k].second = counts[k] > 0 ? sums[k].second / counts[k] : std::nan("");
-  return sums;
+  for (std::size_t k = 0; k < mean.row.size(); ++k) {
+    double& value = mean.row[k].second;
+    value = mean.scenes[k] > 0 ? value / static_cast<double>(mean.scenes[k]) : std::nan("");
+  }
+  return mean;
+}
+
+/// A cell of CSV, in quotes where it has to be.
+std::string csv_cell(const std::string& text) {
+  if (text.find_first_of(",\"\r\n") == std::string::npos) return text;
+  std::string out = "\"";
+  for (const char c : text) out += c == '"' ? std::string("\"\"") : std::string(1, c);
+  return out + "\"";
 }
 
 nlohmann::ordered_json by_registration(const SceneScores& s) {
@@ -152,6 +166,7 @@ nlohmann::ordered_json scores_json(const DsmComparison& c) {
 nlohmann::ordered_json scores_json(const std::vector<SceneScores>& scores) {
   nlohmann::ordered_json out{{"scenes", nlohmann::ordered_json::array()},
                              {"mean", nlohmann::ordered_json::object()},
+                             {"mean_scenes", nlohmann::ordered_json::object()},
                              {"lpips_backbone", nullptr}};
   for (const SceneScores& s : scores) {
     out["scenes"].push_back(
@@ -167,10 +182,16 @@ nlohmann::ordered_json scores_json(const std::vector<SceneScores>& scores) {
          {"render_target_ssim", json_number(s.target.ssim)},
          {"render_target_ssim_conv", json_number(s.target.ssim_conv)},
          {"render_target_lpips", json_number(s.target.lpips.value_or(std::nan("")))},
+         {"render_target_covered", json_number(s.target_covered)},
          {"seconds", s.seconds}});
     if (!s.target.lpips_backbone.empty()) out["lpips_backbone"] = s.target.lpips_backbone;
   }
-  for (const auto& [name, value] : mean_of(scores)) out["mean"][name] = json_number(value);
+  const Mean mean = mean_of(scores);
+  for (std::size_t k = 0; k < mean.row.size(); ++k) {
+    const auto& [name, value] = mean.row[k];
+    out["mean"][name] = json_number(value);
+    if (mean.scenes[k] < scores.size()) out["mean_scenes"][name] = mean.scenes[k];
+  }
   return out;
 }
 
@@ -187,7 +208,7 @@ std::string scores_csv(const std::vector<SceneScores>& scores) {
   for (const auto& [name, value] : row_of(scores[0])) text += "," + name;
   text += "\n";
   const auto add = [&text](const std::string& name, const Row& row) {
-    text += name;
+    text += csv_cell(name);
     for (const auto& [column, value] : row) {
       char cell[32];
       std::snprintf(cell, sizeof cell, ",%.8g", value);
@@ -196,7 +217,7 @@ std::string scores_csv(const std::vector<SceneScores>& scores) {
     text += "\n";
   };
   for (const SceneScores& s : scores) add(s.name, row_of(s));
-  add("mean", mean_of(scores));
+  add("mean", mean_of(scores).row);
   return text;
 }
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/train/height_range.h"
+
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/resize.h"
-#include "satsurf/train/reconstruct.h"
 
 #include <algorithm>
 #include <cmath>

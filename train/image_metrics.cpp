@@ -60,7 +60,11 @@ ImageScores score_images(const Tensor& image, const Tensor& reference, const Ten
   scores.ssim = similarity(SsimKind::skimage, kBorder);
   scores.ssim_conv = similarity(SsimKind::conv, 0);
   if (lpips != nullptr) {
-    scores.lpips = static_cast<double>((*lpips)(Var(colours(a)), colours(b), mask).value().item());
+    // two pictures that are black all over are no evidence
+    scores.lpips =
+        any_counts(mask, H, W, 0)
+            ? static_cast<double>((*lpips)(Var(colours(a)), colours(b), mask).value().item())
+            : std::numeric_limits<double>::quiet_NaN();
     scores.lpips_backbone = nn::lpips_backbone_name(lpips->backbone());
   }
   return scores;

@@ -15,7 +15,7 @@ struct ImageScores {
   double psnr_fitted = 0;       ///< the same after `fit_colours`
   double ssim = 0;              ///< SsimKind::skimage; NaN for images of less than 11 px
   double ssim_conv = 0;         ///< SsimKind::conv
-  std::optional<double> lpips;  ///< none without a network
+  std::optional<double> lpips;  ///< none without a network; NaN where no pixel counts
   std::string lpips_backbone;   ///< its name; empty without a network
 };
 

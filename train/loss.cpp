@@ -144,7 +144,7 @@ struct StageLoss {
     const Tensor mask = route(confidence, opaque).appearance;
     const double share = count > 0 ? sum_of(mask) / count : 0;
 
-    // The terms are means over the mask; their share makes them means over all opaque pixels.
+    // MSE and SSIM are means over the mask; its share makes them means over all opaque pixels.
     if (config.colour_weight > 0) {
       Tensor mask3({3, h, w});
       for (Index i = 0; i < 3 * P; ++i) mask3[i] = mask[i % P];

@@ -48,7 +48,8 @@ struct LossConfig {
     v("lpips_weight", s.lpips_weight,
       Field{.help = "weight of the rendered target's perceptual distance", .min = 0});
     v("lpips_weights", s.lpips_weights,
-      Field{.help = "network of the perceptual distance; empty leaves the term out"});
+      Field{.help = "network of the perceptual distance; empty leaves the term out, as do stages "
+                    "smaller than it takes (of alex 31 px)"});
     v("routing", s.routing,
       Field{.help = "which pixels correlation and appearance learn from",
             .choices = {"none", "cbrl"}});
@@ -59,9 +60,14 @@ struct LossConfig {
   }
 };
 
-/// The objective that belongs to a model preset (nn/config.h): for `paper` no true heights, for the
-/// presets after other methods the terms and stage weights those are trained with; true heights
-/// stay where they have none of their own, so that a comparison is one of networks.
+/// The objective that belongs to a model preset (nn/config.h):
+///   paper           no true heights, no warm-up of the routing
+///   cascade8, tiny  no routing and no correlation
+///   *_like          the terms and stage weights those are trained with: no routing, no SSIM, LPIPS
+///                   0.05 (where `lpips_weights` names its network), of one stage only the last; of
+///                   `skysplat_like` correlation on every pixel. Our true heights stay, so that a
+///                   comparison is one of networks
+/// and the defaults for the others.
 /// throws  ConfigError as `model_preset`
 LossConfig loss_preset(const std::string& name);
 
@@ -83,12 +89,15 @@ struct LossReport {
 /// The training objective:
 ///   L = sum_s w_s ( a smoothL1(H_s, H*) + b smoothL1(H^_s, H*_target) + c L_geo + L_app )
 ///   L_geo = mean(m_geo (local + global) / 2), of `patch_pearson` of H_s with patches of an eighth,
-///     a quarter and half of its side, randomly placed
-///   L_app = mean(m_app (d MSE + e (1 - SSIM) + f LPIPS)) of the colours rendered in the target
+///     a quarter and half of its side, randomly placed; none without relative heights
+///   L_app = mean(m_app (d MSE + e (1 - SSIM))) + f LPIPS of the colours rendered in the target
 /// with the true heights of the sources, and colour and height rendered in the target view; the
 /// target's terms count only where the rendered surface is opaque (alpha > 0.5). The masks m route
 /// pixels by confidence (train/routing.h), that of the target rendered like its colours; means are
-/// over all valid pixels, so routing weighs the losses against each other.
+/// over all valid pixels, so routing weighs the losses against each other. A confident pixel takes
+/// part in the moments of its patch, so L_geo of its doubtful neighbours reaches it. LPIPS is that
+/// of both pictures, black outside m_app, over the whole view, in stages as large as its network
+/// takes.
 /// Source: SatSurfGS, confidence-based routing of losses; the terms of H* are ours.
 /// config   weights
 /// model    of the network: how confidence is read

@@ -235,7 +235,7 @@ Registration registration_from(const std::string& text) {
 }
 
 DsmComparison compare_dsm(const HeightField& prediction, const HeightField& truth,
-                          Registration registration, const Tensor& mask) {
+                          Registration registration, const Tensor& mask, bool must_meet) {
   Tensor wanted = truth.z;
   if (!mask.empty()) {
     Dims("compare_dsm").match("truth", truth.z, "H W").match("mask", mask, "H W");
@@ -256,11 +256,11 @@ DsmComparison compare_dsm(const HeightField& prediction, const HeightField& trut
     z = resample(moved, truth);
   }
   std::vector<double> errors = errors_of(z, wanted, {});
-  if (errors.empty())
+  if (errors.empty() && must_meet)
     throw Error(
         "compare_dsm: no cell with both a predicted and a true height, wanted overlapping "
         "surfaces");
-  if (registration != Registration::none) {
+  if (registration != Registration::none && !errors.empty()) {
     out.shift[2] = -median_of(errors);
     z = z.clone();
     for (float& v : z.values()) v += static_cast<float>(out.shift[2]);

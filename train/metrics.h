@@ -46,8 +46,8 @@ HeightScores score_heights(const Tensor& prediction, const Tensor& truth, const 
 /// else the nearest cell. NaN stays NaN.
 Tensor resample(const HeightField& field, const HeightField& grid);
 
-/// What may be taken out of a prediction before it is scored: nothing, one height offset, or also a
-/// horizontal shift.
+/// What may be taken out of a prediction before it is scored: nothing, one height offset (the
+/// median of the errors), or also a horizontal shift.
 enum class Registration { none, z, xyz };
 /// From its name.
 /// throws  ConfigError naming the choices
@@ -64,15 +64,19 @@ struct DsmComparison {
 
 /// Resamples the prediction to the truth's grid, registers it as asked and scores it before and
 /// after.
-///   z    the median difference
+///   z    the median difference of all cells that count: none is clipped or left out as an outlier,
+///        neither here nor in the scores
 ///   xyz  first a horizontal shift by whole truth cells that maximises the normalised correlation
 ///        of the heights, searched coarse to fine (halved until a side is below 100 cells, 5 cells
 ///        around the best of the level above), then the median difference
 /// prediction, truth  in one local frame
 /// registration       what is taken out
 /// mask               [H W] on the truth's grid, zero where a cell does not count; empty for all
-/// throws             Error if prediction and truth have no cell in common
+/// must_meet          false: surfaces without a common cell are scored too, and all cells are
+///                    missing: completeness and PAG are 0, the errors NaN
+/// throws             Error if they have none and must
 DsmComparison compare_dsm(const HeightField& prediction, const HeightField& truth,
-                          Registration registration, const Tensor& mask = {});
+                          Registration registration, const Tensor& mask = {},
+                          bool must_meet = true);
 
 }  // namespace satsurf::train

@@ -5,6 +5,7 @@
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/ssi_loss.h"
 #include "satsurf/train/augment.h"
+#include "satsurf/train/checkpoint.h"
 
 #include <algorithm>
 #include <cmath>

@@ -70,17 +70,4 @@ void train(const MonoTrainConfig& config, const std::filesystem::path& data, Out
            std::uint64_t seed, bool resume, const StepCallback& callback,
            const std::function<void(double)>& reading = {});
 
-/// Before the names of a monocular network's parameters in a file.
-constexpr const char* kMonoPrefix = "mono.";
-
-/// Adds a monocular network to a file that may hold more: tensors `mono.*`, metadata `format` and
-/// `mono` (its configuration).
-void store_mono(TensorFile& file, const nn::Mono& mono);
-/// The monocular network in a file that `store_mono` filled; `where` begins the error texts.
-/// throws  IoError
-nn::Mono mono_from(const TensorFile& file, const std::string& where);
-/// That of a weights or checkpoint file.
-/// throws  IoError
-nn::Mono load_mono(const std::filesystem::path& path);
-
 }  // namespace satsurf::train

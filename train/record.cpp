@@ -18,6 +18,8 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include SATSURF_GIT_HASH_HEADER
+
 namespace satsurf::train {
 namespace {
 

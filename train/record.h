@@ -61,7 +61,8 @@ bool holds_run(const std::filesystem::path& folder);
 
 /// The version of this program, e.g. `0.1.0`.
 const char* program_version();
-/// The commit it was configured at, or `unknown` outside a git checkout.
+/// The commit it was built from, `-dirty` behind it where files differed from that, or `unknown`
+/// outside a git checkout.
 const char* program_git_hash();
 
 }  // namespace satsurf::train

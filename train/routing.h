@@ -17,7 +17,7 @@ struct RoutingOptions {
   bool warmup = false;     ///< appearance learns from all valid pixels, as if all were confident
 };
 
-/// Which pixels each loss learns from, 0 or 1. Routed without warm-up, every valid pixel is in
+/// Which pixels' terms each loss sums, 0 or 1. Routed without warm-up, every valid pixel is in
 /// exactly one of them.
 struct RoutingMasks {
   Tensor geometry, appearance;

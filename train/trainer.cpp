@@ -121,6 +121,18 @@ bool needs_branch(const TrainConfig& config) {
                               [&](const auto& item) { return item.first.starts_with(prefix); });
 }
 
+std::vector<std::string> idle_settings(const TrainConfig& config) {
+  std::vector<std::string> out;
+  if (config.lpips_weight > 0 && config.lpips_weights.empty())
+    out.emplace_back("no perceptual loss: lpips_weights names no file");
+  const bool mono = config.model.mono != "none";
+  if (config.geo_weight > 0 && config.geo_target != "dsm" && !mono)
+    out.emplace_back("no correlation with relative heights: the network has no monocular branch");
+  if (!mono && !config.mono_weights.empty())
+    out.emplace_back("mono_weights is not read: the network has no monocular branch");
+  return out;
+}
+
 void train(const TrainConfig& config, const fs::path& data, OutputFolder out, std::uint64_t seed,
            bool resume, const StepCallback& callback, const std::function<void(double)>& reading) {
   check_fields(config, "train");
@@ -135,6 +147,9 @@ void train(const TrainConfig& config, const fs::path& data, OutputFolder out, st
   if (branch && mono.empty())
     throw ConfigError(
         "train: no weights of the monocular branch, expected mono_weights: what --task mono made");
+  if (!resume && !branch && config.model.mono != "none" && !config.mono_weights.empty())
+    throw ConfigError("train: mono_weights is " + config.mono_weights + ", but " + config.init +
+                      " has a monocular branch already, expected one of them");
   const auto scenes = training_scenes(data, config.views + 1, reading);  // and one target
   SurfaceTask task(config, scenes, seed);
   if (branch) load_mono_branch(task.model(), mono);

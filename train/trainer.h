@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/model.h"
+#include "satsurf/train/checkpoint.h"
 #include "satsurf/train/loss.h"
 #include "satsurf/train/training.h"
 
@@ -9,6 +10,7 @@
 #include <functional>
 #include <map>
 #include <string>
+#include <vector>
 
 namespace satsurf::train {
 
@@ -42,6 +44,10 @@ struct TrainConfig : TrainingSettings, LossConfig {
 /// throws  IoError if `init` cannot be read
 bool needs_branch(const TrainConfig& config);
 
+/// What of a configuration has no effect, in sentences for the user: losses whose network or target
+/// is missing, weights of a branch that the network does not have.
+std::vector<std::string> idle_settings(const TrainConfig& config);
+
 /// Trains on the scenes of a folder and writes `checkpoint.safetensors` (all that resuming needs),
 /// `weights.safetensors` (the model alone) and `train.jsonl`.
 /// config    all settings
@@ -52,36 +58,12 @@ bool needs_branch(const TrainConfig& config);
 /// resume    go on from `out/checkpoint.safetensors`, bit for bit as if never interrupted
 /// callback  may be empty
 /// reading   told before each scene is read which share of them has been; may throw to stop
-/// throws    IoError, ConfigError; also where the model has a monocular branch and neither `init`
-///           nor `mono_weights` names a file that has it: it is not trained here
+/// throws    IoError, ConfigError; also where the model has a monocular branch and none of `init`,
+///           `mono_weights` and `mono_found` names a file that has it, for it is not trained here,
+///           and where both `init` and `mono_weights` do
 void train(const TrainConfig& config, const std::filesystem::path& data, OutputFolder out,
            std::uint64_t seed, bool resume, const StepCallback& callback,
            const std::function<void(double)>& reading = {});
-
-/// A model from a weights or checkpoint file, which carries its configuration.
-/// throws  IoError
-nn::Model load_model(const std::filesystem::path& path);
-/// Writes the model alone, whole or not at all.
-/// origin  further metadata: where the weights come from. `train` writes `train` (the configuration
-///         of the run, other files by name), `seed`, `step` (those done), `scenes` (trained on),
-///         `version` and `git`
-/// throws  IoError
-void save_model(const std::filesystem::path& path, const nn::Model& model,
-                const std::map<std::string, std::string>& origin = {});
-
-/// Puts a trained monocular network into a model's branch.
-/// throws  IoError if the file holds none, or one of another configuration
-void load_mono_branch(nn::Model& model, const std::filesystem::path& path);
-
-/// Before the names of a model's parameters in a file.
-constexpr const char* kModelPrefix = "model.";
-
-/// Adds a model to a file that holds more: tensors `model.*`, metadata `format` and `model` (its
-/// configuration).
-void store_model(TensorFile& file, const nn::Model& model);
-/// The model in a file that `store_model` filled; `where` begins the error texts.
-/// throws  IoError
-nn::Model model_from(const TensorFile& file, const std::string& where);
 
 /// Sample number `step` of a run: a pure function of scenes, configuration, seed and step.
 Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes,

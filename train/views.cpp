@@ -1,29 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/views.h"
 
-#include "satsurf/train/reconstruct.h"
+#include "satsurf/train/height_range.h"
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <utility>
 
 namespace satsurf::train {
 namespace {
 
 namespace fs = std::filesystem;
 
-double cross(const std::array<double, 2>& o, const std::array<double, 2>& a,
-             const std::array<double, 2>& b) {
-  return (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0]);
-}
-
-/// Twice the signed area, positive counter-clockwise, measured from the first corner to keep
-/// digits.
-double signed_area2(const Polygon& p) {
-  double sum = 0;
-  for (std::size_t i = 1; i + 1 < p.size(); ++i) sum += cross(p[0], p[i], p[i + 1]);
-  return sum;
-}
+/// Source of a range that is not used as it is, but searched.
+constexpr const char* kCameraRange = "of the cameras";
 
 std::string kilometres(double metres) {
   char text[32];
@@ -129,41 +120,119 @@ std::optional<double> height_of_overlap(const SceneView& a, const SceneView& b,
   return std::nullopt;
 }
 
-}  // namespace
+/// The views of a scene, and what their metadata say of heights.
+struct Views {
+  std::vector<SceneView> views;
+  std::optional<rpc::HeightRange> named;  ///< union of the ranges they name
+};
 
-double polygon_area(const Polygon& polygon) { return std::abs(signed_area2(polygon)) / 2; }
-
-std::array<double, 2> polygon_centroid(const Polygon& p) {
-  double x = 0, y = 0, area = 0;
-  for (std::size_t i = 1; i + 1 < p.size(); ++i) {
-    const double a = cross(p[0], p[i], p[i + 1]);
-    area += a;
-    x += a * ((p[i][0] - p[0][0]) + (p[i + 1][0] - p[0][0])) / 3;
-    y += a * ((p[i][1] - p[0][1]) + (p[i + 1][1] - p[0][1])) / 3;
-  }
-  if (area == 0) throw Error("polygon_centroid: no area, wanted a polygon");
-  return {p[0][0] + x / area, p[0][1] + y / area};
-}
-
-Polygon intersect(const Polygon& a, const Polygon& b) {
-  Polygon out = a;
-  for (std::size_t i = 0; i < b.size() && !out.empty(); ++i) {
-    const auto &from = b[i], &to = b[(i + 1) % b.size()];
-    Polygon kept;
-    for (std::size_t k = 0; k < out.size(); ++k) {
-      const auto &p = out[k], &q = out[(k + 1) % out.size()];
-      const double sp = cross(from, to, p), sq = cross(from, to, q);
-      if (sp >= 0) kept.push_back(p);
-      if ((sp > 0 && sq < 0) || (sp < 0 && sq > 0)) {
-        const double t = sp / (sp - sq);
-        kept.push_back({p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])});
-      }
+/// throws IoError
+Views read_views(const std::vector<fs::path>& files, const std::vector<fs::path>& image_dirs,
+                 const std::function<void()>& poll) {
+  Views out;
+  for (const fs::path& file : files) {
+    if (poll) poll();
+    const rpc::Image image = rpc::open_view(file, image_dirs);
+    SceneView view;
+    view.file = file;
+    view.name = view_name(file, out.views);
+    view.rgb = rpc::to_rgb(image);
+    view.valid = image.valid;
+    view.rpc = *image.info.rpc;
+    view.sun_elevation_deg = image.info.sun_elevation_deg.value_or(0);
+    view.sun_azimuth_deg = image.info.sun_azimuth_deg.value_or(0);
+    view.date = image.info.acquisition_date.value_or("");
+    if (const auto& range = image.info.height_range) {
+      if (!out.named) out.named = range;
+      out.named->low = std::min(out.named->low, range->low),
+      out.named->high = std::max(out.named->high, range->high);
     }
-    out = std::move(kept);
+    check_image(view);
+    out.views.push_back(std::move(view));
   }
-  if (out.size() < 3 || polygon_area(out) <= 0) out.clear();
   return out;
 }
+
+/// throws ConfigError for a wanted range that is not the cameras'
+RangeChoice choose_range(const std::optional<rpc::HeightRange>& wanted,
+                         const std::optional<rpc::HeightRange>& named,
+                         const std::vector<SceneView>& views) {
+  if (wanted) {
+    check_wanted(*wanted, views);
+    return {*wanted, "as given"};
+  }
+  if (named && named->low < named->high) return {*named, "from the images' metadata"};
+  return {camera_range(views), kCameraRange};
+}
+
+bool usable(const rpc::HeightRange& range) { return range.low < range.high; }
+
+/// Where a view is put on the ground: the middle of the range; of its own heights without one.
+double height_of(const SceneView& view, const rpc::HeightRange& range) {
+  return usable(range) ? (range.low + range.high) / 2 : view.rpc.height_off;
+}
+
+rpc::Geodetic centre_of(const SceneView& view, const rpc::HeightRange& range) {
+  return view.rpc.localize(
+      {static_cast<double>(view.rgb.dim(2)) / 2, static_cast<double>(view.rgb.dim(1)) / 2},
+      height_of(view, range));
+}
+
+/// What each view covers.
+/// throws Error for views so far apart that one zone does not hold both
+std::vector<Polygon> footprints(const std::vector<SceneView>& views, const rpc::UtmZone& zone,
+                                const rpc::HeightRange& range) {
+  const rpc::Geodetic centre = centre_of(views[0], range);
+  std::vector<Polygon> ground;
+  for (const SceneView& view : views) {
+    // far apart is told in the words of the overlap check, not in those of a projection out of its
+    // zone
+    const rpc::Geodetic c = centre_of(view, range);
+    const double dlon = std::remainder(c.lon - centre.lon, 360), dlat = c.lat - centre.lat;
+    if (std::hypot(dlon * std::cos(centre.lat * M_PI / 180), dlat) > 3)
+      throw Error("reconstruct: " + views[0].file.string() + " and " + view.file.string() +
+                  " do not overlap on the ground, wanted images of one place");
+    ground.push_back(
+        footprint(view.rpc, view.rgb.dim(2), view.rgb.dim(1), zone, height_of(view, range)));
+  }
+  return ground;
+}
+
+/// Says why two views have no common ground.
+/// ground_a, ground_b  what each covers
+/// wanted              the range that was asked for, if one was
+[[noreturn]] void refuse_apart(const SceneView& a, const SceneView& b, const Polygon& ground_a,
+                               const Polygon& ground_b, const rpc::UtmZone& zone,
+                               const std::optional<rpc::HeightRange>& wanted) {
+  if (wanted)
+    if (const auto h = height_of_overlap(a, b, zone)) {
+      char near[32];
+      std::snprintf(near, sizeof near, "%.0f m", *h);
+      throw ConfigError("--height-range: " + span_text(*wanted) + ", but " + a.file.string() +
+                        " and " + b.file.string() +
+                        " see no common ground at these heights (they do at " + near +
+                        "), wanted the heights of the ground");
+    }
+  const auto centre_a = polygon_centroid(ground_a), centre_b = polygon_centroid(ground_b);
+  throw Error("reconstruct: " + a.file.string() + " and " + b.file.string() +
+              " do not overlap on the ground (centres " +
+              kilometres(std::hypot(centre_a[0] - centre_b[0], centre_a[1] - centre_b[1])) +
+              " apart), wanted images of one place");
+}
+
+/// throws Error, ConfigError for a pair without common ground or parallax
+void check_overlaps(const std::vector<SceneView>& views, const std::vector<Polygon>& ground,
+                    const rpc::UtmZone& zone, const rpc::HeightRange& range,
+                    const std::optional<rpc::HeightRange>& wanted) {
+  for (std::size_t i = 0; i < views.size(); ++i)
+    for (std::size_t j = i + 1; j < views.size(); ++j) {
+      const Polygon both = intersect(ground[i], ground[j]);
+      if (both.empty()) refuse_apart(views[i], views[j], ground[i], ground[j], zone, wanted);
+      check_parallax(views[i], views[j], zone, polygon_centroid(both), height_of(views[i], range));
+    }
+}
+
+}  // namespace
 
 Polygon footprint(const rpc::Rpc& rpc, Index width, Index height, const rpc::UtmZone& zone,
                   double h) {
@@ -174,8 +243,7 @@ Polygon footprint(const rpc::Rpc& rpc, Index width, Index height, const rpc::Utm
     const rpc::Geodetic g = rpc.localize(p, h);
     corners.push_back(rpc::utm_from_geodetic(zone, g.lon, g.lat));
   }
-  if (signed_area2(corners) < 0) std::reverse(corners.begin(), corners.end());
-  return corners;
+  return counter_clockwise(std::move(corners));
 }
 
 ViewAngles view_angles(const rpc::Rpc& rpc, Index width, Index height, double h) {
@@ -219,98 +287,30 @@ UserScene scene_from_views(const std::vector<fs::path>& files,
     throw Error("reconstruct: " + files[0].string() + " is the only image, wanted two or more");
   UserScene out;
   Scene& scene = out.scene;
-  std::optional<rpc::HeightRange> named;
-  for (const fs::path& file : files) {
-    if (poll) poll();
-    const rpc::Image image = rpc::open_view(file, image_dirs);
-    SceneView view;
-    view.file = file;
-    view.name = view_name(file, scene.views);
-    view.rgb = rpc::to_rgb(image);
-    view.valid = image.valid;
-    view.rpc = *image.info.rpc;
-    view.sun_elevation_deg = image.info.sun_elevation_deg.value_or(0);
-    view.sun_azimuth_deg = image.info.sun_azimuth_deg.value_or(0);
-    view.date = image.info.acquisition_date.value_or("");
-    if (const auto& range = image.info.height_range) {
-      if (!named) named = range;
-      named->low = std::min(named->low, range->low),
-      named->high = std::max(named->high, range->high);
-    }
-    check_image(view);
-    scene.views.push_back(std::move(view));
-  }
+  Views read = read_views(files, image_dirs, poll);
+  out.range = choose_range(wanted, read.named, read.views);
+  scene.views = std::move(read.views);
+  const rpc::HeightRange first = out.range.range;  // what can be known before comparing images
 
-  if (wanted) check_wanted(*wanted, scene.views);
-  if (wanted)
-    out.range = {*wanted, "as given"};
-  else if (named && named->low < named->high)
-    out.range = {*named, "from the images' metadata"};
-  else
-    out.range = {camera_range(scene.views), "of the cameras"};
-  const bool usable = out.range.range.low < out.range.range.high;
-  const double middle =
-      usable ? (out.range.range.low + out.range.range.high) / 2 : scene.views[0].rpc.height_off;
-  const auto height_of = [&](const SceneView& v) { return usable ? middle : v.rpc.height_off; };
-
-  const auto centre_of = [&](const SceneView& v) {
-    return v.rpc.localize(
-        {static_cast<double>(v.rgb.dim(2)) / 2, static_cast<double>(v.rgb.dim(1)) / 2},
-        height_of(v));
-  };
-  const rpc::Geodetic centre = centre_of(scene.views[0]);
+  const rpc::Geodetic centre = centre_of(scene.views[0], first);
   scene.frame.zone = rpc::utm_zone_of(centre.lon, centre.lat);
-  std::vector<Polygon> ground;
-  for (std::size_t i = 0; i < files.size(); ++i) {
-    // far apart is told in the words of the overlap check, not in those of a projection out of its
-    // zone
-    const rpc::Geodetic c = centre_of(scene.views[i]);
-    const double dlon = std::remainder(c.lon - centre.lon, 360), dlat = c.lat - centre.lat;
-    if (std::hypot(dlon * std::cos(centre.lat * M_PI / 180), dlat) > 3)
-      throw Error("reconstruct: " + files[0].string() + " and " + files[i].string() +
-                  " do not overlap on the ground, wanted images of one place");
-    ground.push_back(footprint(scene.views[i].rpc, scene.views[i].rgb.dim(2),
-                               scene.views[i].rgb.dim(1), scene.frame.zone,
-                               height_of(scene.views[i])));
-  }
+  const std::vector<Polygon> ground = footprints(scene.views, scene.frame.zone, first);
+  check_overlaps(scene.views, ground, scene.frame.zone, first, wanted);
   Polygon common = ground[0];
-  for (std::size_t i = 0; i < files.size(); ++i) {
-    common = intersect(common, ground[i]);
-    for (std::size_t j = i + 1; j < files.size(); ++j) {
-      if (const Polygon both = intersect(ground[i], ground[j]); !both.empty()) {
-        check_parallax(scene.views[i], scene.views[j], scene.frame.zone, polygon_centroid(both),
-                       usable ? middle : scene.views[i].rpc.height_off);
-        continue;
-      }
-      if (wanted)
-        if (const auto h = height_of_overlap(scene.views[i], scene.views[j], scene.frame.zone)) {
-          char near[32];
-          std::snprintf(near, sizeof near, "%.0f m", *h);
-          throw ConfigError("--height-range: " + span_text(*wanted) + ", but " + files[i].string() +
-                            " and " + files[j].string() +
-                            " see no common ground at these heights (they do at " + near +
-                            "), wanted the heights of the ground");
-        }
-      const auto a = polygon_centroid(ground[i]), b = polygon_centroid(ground[j]);
-      throw Error("reconstruct: " + files[i].string() + " and " + files[j].string() +
-                  " do not overlap on the ground (centres " +
-                  kilometres(std::hypot(a[0] - b[0], a[1] - b[1])) +
-                  " apart), wanted images of one place");
-    }
-  }
+  for (const Polygon& g : ground) common = intersect(common, g);
   out.common_area = common.empty() ? 0 : polygon_area(common);
   const auto origin = polygon_centroid(common.empty() ? ground[0] : common);
   scene.frame.easting0 = std::round(origin[0]), scene.frame.northing0 = std::round(origin[1]);
-  if (!usable)  // told after the overlap: images of two places seldom share a range either
+  if (!usable(first))  // told after the overlap: images of two places seldom share a range either
     throw Error("reconstruct: " + files[0].string() +
                 " and the others: cameras for different heights, wanted a range "
                 "they share; give --height-range");
-  scene.frame.h0 = std::round(middle);
+  scene.frame.h0 = std::round((first.low + first.high) / 2);
   scene.name = scene.views[0].name;
 
-  if (!wanted && out.range.source == "of the cameras") {
-    const auto [low, high] = find_height_range(scene, out.range.range.low - scene.frame.h0,
-                                               out.range.range.high - scene.frame.h0, poll);
+  if (out.range.source == kCameraRange) {
+    const auto [low, high] =
+        find_height_range(scene, first.low - scene.frame.h0, first.high - scene.frame.h0, poll);
     out.range = {{low + scene.frame.h0, high + scene.frame.h0}, "found by comparing the images"};
     scene.frame.h0 = std::round((out.range.range.low + out.range.range.high) / 2);
   }

@@ -3,8 +3,8 @@
 
 #include "satsurf/rpc/read.h"
 #include "satsurf/train/dataset.h"
+#include "satsurf/train/polygon.h"
 
-#include <array>
 #include <filesystem>
 #include <functional>
 #include <optional>
@@ -12,17 +12,6 @@
 #include <vector>
 
 namespace satsurf::train {
-
-/// A convex polygon on the ground, m, counter-clockwise.
-using Polygon = std::vector<std::array<double, 2>>;
-
-/// m2.
-double polygon_area(const Polygon& polygon);
-/// throws  Error for a polygon without area
-std::array<double, 2> polygon_centroid(const Polygon& polygon);
-/// The part of `a` inside `b`; empty if they do not meet.
-/// Source: Sutherland and Hodgman 1974.
-Polygon intersect(const Polygon& a, const Polygon& b);
 
 /// The four corners of an image on the ground.
 /// width, height  of the image, px

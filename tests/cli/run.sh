@@ -108,6 +108,10 @@ holds "and by which program" grep -qE "program +satsurf [0-9.]+ \(.+\)" stdout
 # The whole method brings its monocular branch along; a smaller one needs its own.
 succeeds "train the whole method" "$satsurf" train --data data --out method --preset base8 --crop 32 --steps 1 --quiet
 holds "the branch is in it" grep -q '"mono":"own"' <("$satsurf" info method/weights.safetensors)
+holds "the record has the branch's file" grep -qE '"path": ".*mono12.safetensors"' method/run.json
+succeeds "train without perceptual loss" "$satsurf" train --data data --out plain --preset tiny --crop 32 --steps 1
+cp stderr notes.txt
+holds "it says so" grep -qE "^no perceptual loss: lpips_weights names no file$" notes.txt
 refuses "a branch of another size" 1 "mono12.safetensors" "$satsurf" train --data data --out no --preset tiny_full --crop 32 --steps 1 --quiet
 
 # The monocular network: the same program, another task.
@@ -174,10 +178,10 @@ holds "the same table" cmp <(untimed all.csv) <(untimed only.csv)
 holds "the same confidences" cmp confidence.csv only.confidence.csv
 holds "each row as many cells" test "$(awk -F, '{ print NF }' all.csv | sort -u | wc -l)" -eq 1
 for column in dsm_mae dsm_none_rmse dsm_z_pag2.5 dsm_xyz_completeness dsm_xyz_east dsm_filled_xyz_mae mvs_source_rmse \
-  mvs_source_rmse_per_view render_target_pag7.5 render_target_psnr render_target_ssim_conv render_target_lpips; do
+  mvs_source_rmse_per_view render_target_pag7.5 render_target_psnr render_target_ssim_conv render_target_lpips render_target_covered; do
   holds "the table has $column" grep -qE "^scene,(.*,)?$column," all.csv
 done
-for key in dsm_by_registration holes_filled render_target_ssim equal_width equal_count monotone; do
+for key in dsm_by_registration holes_filled window mean_scenes render_target_ssim equal_width equal_count monotone; do
   holds "the record has $key" grep -qF "\"$key\": " all.json
 done
 holds "ten bins of equal width each" test "$(grep -c ',equal_width,' confidence.csv)" -eq 20
@@ -211,6 +215,9 @@ done
 for read in out/views/SIM_001_001_RGB_render.png out/views/SIM_001_001_RGB_source.png; do
   holds "it records that it read $read" grep -qF "\"path\": \"$read\"" picture.json
 done
+printf 'P3 96 96 255\n%s' "$(yes "0 255 0" | head -9216)" >green.ppm
+succeeds "evaluate under a green mask" "$satsurf" evaluate "${pictures[@]}" --mask green.ppm --json green.json
+holds "it hides nothing" cmp <(grep '"psnr"' picture.json) <(grep '"psnr"' green.json)
 succeeds "evaluate a picture against itself" "$satsurf" evaluate --image out/height.png --reference out/height.png --json same.json
 holds "PSNR is infinite" grep -qE "^PSNR +infinite" stdout
 holds "which JSON says with null" grep -qE '^  "psnr": null,$' same.json
@@ -269,6 +276,14 @@ holds "its crop" grep -q '"crop": 256' stdout
 holds "the flag beats them" grep -q '"lr": 0.25' stdout
 succeeds "a configuration names its task" "$satsurf" train --config mono/run.json --print-config
 holds "with the task's fields" grep -q '"batch": 2' stdout
+succeeds "a file's flag with dashes" "$satsurf" train --lpips-weights alex.safetensors --print-config
+holds "is the field with underscores" grep -q '"lpips_weights": "alex.safetensors"' stdout
+succeeds "help of train" "$satsurf" train --help
+holds "it says how to write a list" grep -qE -- "--model.hypotheses 3 comma-separated integers=[0-9]+,[0-9]+,[0-9]+" stdout
+holds "which fields are files" grep -qE -- "--(init|mono_weights,--mono-weights) FILE" stdout
+holds "and what must be there" grep -qE -- "--out DIR .*\(required unless --print-config\)" stdout
+succeeds "help of reconstruct" "$satsurf" reconstruct --help
+holds "it says how to write a range" grep -qE -- "--height-range LOW HIGH in m  " stdout
 echo '{"stepz": 7}' >typo.json
 refuses "unknown key" 2 "typo.json.*stepz.*steps" "$satsurf" train --config typo.json --data data --out no
 echo '{"steps": ' >broken.json
@@ -292,6 +307,16 @@ refuses "a picture without a reference" 2 "--reference" "$satsurf" evaluate --im
 refuses "a mesh without a reference" 2 "--reference-mesh" "$satsurf" evaluate --mesh out/mesh.ply
 refuses "a mesh and a picture" 2 "--mesh excludes --image|--image excludes --mesh" \
   "$satsurf" evaluate --mesh out/mesh.ply --reference-mesh out/mesh.ply --image out/height.png
+refuses "a surface without the truth" 2 "--truth is required" "$satsurf" evaluate --dsm $truth
+refuses "the truth without a surface" 2 "--dsm and --truth" "$satsurf" evaluate --truth $truth
+refuses "a table of one surface" 2 "evaluate --dsm: --csv came, wanted only with --data$" \
+  "$satsurf" evaluate --dsm $truth --truth $truth --csv no.csv
+refuses "the truth of a data set" 2 "evaluate --data: --truth came, wanted only with --dsm$" \
+  "$satsurf" evaluate --data data --weights $weights --truth $truth
+refuses "a registered picture" 2 "evaluate --image: --register came, wanted only with --dsm or --data$" \
+  "$satsurf" evaluate "${pictures[@]}" --register z
+refuses "LPIPS of a mesh" 2 "evaluate --mesh: --lpips-weights came, wanted only with --data or --image$" \
+  "$satsurf" evaluate --mesh out/mesh.ply --reference-mesh out/mesh.ply --lpips_weights $weights
 refuses "another kind of mesh" 2 "--mesh.*poisson" "$satsurf" reconstruct "${images[@]}" --out no --mesh poisson
 refuses "voxels of nothing" 2 "--voxel.*0, wanted a number from 0.01" "$satsurf" reconstruct "${images[@]}" --out no --voxel 0
 refuses "a picture and a surface" 2 "--image excludes --dsm|--dsm excludes --image" \
@@ -491,6 +516,8 @@ refuses "resume with another configuration" 2 \
 refuses "resume without a checkpoint" 1 "checkpoint.safetensors" "$satsurf" train --data data --out no "${tiny[@]}" --resume
 mkdir -p bare/Track3-RGB && cp data/Track3-RGB/SIM_001* bare/Track3-RGB/
 refuses "training without truth" 1 "SIM_001.*_DSM.tif" "$satsurf" train --data bare --out no "${tiny[@]}"
+cp -r data tilted && cp out/height.png tilted/Track3-Truth/SIM_001_CLS.tif
+refuses "classes of another size" 1 "SIM_001_CLS.tif" "$satsurf" evaluate --data tilted --weights $weights --quiet
 refuses "evaluating without truth" 1 "SIM_001_DSM.tif" "$satsurf" evaluate --data bare --weights $weights --quiet
 mkdir -p eogs/images && cp -r bare/Track3-RGB eogs/images/S
 refuses "EOGS without truth" 1 "eogs/truth/S/S_DSM.tif" "$satsurf" evaluate --data eogs --weights $weights --quiet

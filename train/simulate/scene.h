@@ -29,7 +29,7 @@ struct SimulateConfig {
   double off_nadir_min_deg = 5, off_nadir_max_deg = 32;
   double parallax_min = 0.3, parallax_max = 2;  ///< px per m, between any two views
   double bias_px = 0;   ///< largest shift of the given cameras from the true ones
-  bool heights = true;  ///< also give the height of every pixel
+  bool heights = true;  ///< also give the height of every pixel; no field, as no file has them
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -47,12 +47,16 @@ struct SimulateConfig {
       Field{.help = "kinds of scenes, drawn with equal chance",
             .choices = {"city", "suburb", "industrial", "village", "rural", "rough"}});
     v("relief_max", s.relief_max,
-      Field{.help = "largest deviation of the ground from its mean",
-            .unit = "m",
-            .min = 0.5,
-            .max = 500});
+      Field{
+          .help = "caps the ground's deviation from its mean, of which no kind draws more than 60",
+          .unit = "m",
+          .min = 0.5,
+          .max = 500});
     v("tallest_max", s.tallest_max,
-      Field{.help = "largest height above the ground", .unit = "m", .min = 24, .max = 300});
+      Field{.help = "caps the height above the ground, of which no kind draws more than 60",
+            .unit = "m",
+            .min = 24,
+            .max = 300});
     v("water", s.water,
       Field{.help = "share of scenes with a river or a lake", .min = 0, .max = 1});
     v("panchromatic", s.panchromatic, Field{.help = "share of scenes in grey", .min = 0, .max = 1});
@@ -71,7 +75,6 @@ struct SimulateConfig {
             .unit = "px",
             .min = 0,
             .max = 10});
-    v("heights", s.heights, Field{.help = "also give the height of every pixel"});
   }
 };
 
