@@ -186,53 +186,6 @@ TEST_CASE("appearance learns from confident pixels, from all while it warms up")
   CHECK(made.total(routed, after) == 0);
 }
 
-TEST_CASE("with looks, doubtful pixels teach appearance all but place") {
-  Made made;
-  splat::Surfels& surfels = made.stages[2].surfels;
-  const Index count = surfels.means.dim(0);
-  LossConfig config = silent();
-  config.colour_weight = 1;
-  config.ssim_weight = 0.05;
-  struct Gradients {
-    double value;
-    Tensor means, colours, opacity;
-  };
-  const auto gradients = [&](const char* routing, float low, float high) {
-    config.routing = routing;
-    Tensor aux(surfels.aux.shape());
-    for (Index i = 0; i < count; ++i) aux[i] = i < count / 3 ? high : low;
-    surfels.aux = Var(aux);
-    for (Var* v : {&surfels.means, &surfels.colours, &surfels.opacity}) *v = Var(v->value(), true);
-    const Var total = training_loss(config, made.model, made.stages, made.crop, kLate).total;
-    if (total.wants_grad()) total.backward();
-    return Gradients{static_cast<double>(total.value().item()), surfels.means.grad(),
-                     surfels.colours.grad(), surfels.opacity.grad()};
-  };
-  const auto apart = [](const Tensor& a, const Tensor& b) {
-    double worst = 0, size = 0;
-    for (Index i = 0; i < b.count(); ++i) {
-      worst = std::max(worst, static_cast<double>(std::abs((a.empty() ? 0 : a[i]) - b[i])));
-      size = std::max(size, static_cast<double>(std::abs(b[i])));
-    }
-    return worst / size;
-  };
-  const Gradients all = gradients("none", 0.1f, 0.1f);
-  const Gradients sure = gradients("cbrl+looks", 0.9f, 0.9f);
-  CHECK(sure.value == all.value);
-  CHECK(apart(sure.means, all.means) == 0);
-  for (const float high : {0.1f, 0.9f}) {  // none is sure, some are
-    const Gradients looks = gradients("cbrl+looks", 0.1f, high);
-    CHECK(looks.value == doctest::Approx(all.value).epsilon(1e-6));
-    CHECK(apart(looks.colours, all.colours) < 1e-4);
-    CHECK(apart(looks.opacity, all.opacity) < 1e-4);
-    double moved = 0;
-    for (Index i = 0; i < looks.means.count(); ++i)
-      moved += std::abs(static_cast<double>(looks.means[i]));
-    CHECK((moved > 0) == (high > 0.5f));
-    CHECK(apart(looks.means, all.means) > 0.1);
-  }
-}
-
 TEST_CASE("correlation learns from doubtful pixels") {
   Made made;
   nn::StageOutput<float>& stage = made.stages[2];

@@ -81,7 +81,7 @@ struct StageLoss {
 
   RoutingMasks route(const Tensor& confidence, const Tensor& valid) const {
     return route_losses(confidence, valid,
-                        {.routing = config.routing == "none" ? Routing::none : Routing::cbrl,
+                        {.routing = config.routing == "cbrl" ? Routing::cbrl : Routing::none,
                          .threshold = config.routing_tau,
                          .warmup = context.step < config.appearance_warmup});
   }
@@ -120,53 +120,15 @@ struct StageLoss {
                            config.lpips_weight > 0 || config.render_height_weight > 0);
   }
 
-  /// The stage's surface in the target view.
-  splat::Render rendered(const splat::Surfels& surfels) const {
-    const nn::View& view = *crop.target;
-    return nn::render_view(surfels, view.pixel_from_local, view.rgb.dim(1), view.rgb.dim(2),
-                           stage.stride);
-  }
-
-  /// Colours whose gradients reach the surfels' means through the pixels of a mask alone.
-  Var placed_by(const Tensor& mask, const Var& colour) const {
-    splat::Surfels held = stage.surfels;
-    held.means = held.means.detach();
-    Tensor here(colour.shape()), elsewhere(colour.shape());
-    for (Index i = 0; i < here.count(); ++i) {
-      here[i] = mask[i % mask.count()];
-      elsewhere[i] = 1 - here[i];
-    }
-    return colour * Var(here) + rendered(held).colour * Var(elsewhere);
-  }
-
-  /// L_app of colours.
-  /// mask   where they count
-  /// valid  where they could
-  void add_appearance(Var& total, double weight, const Var& colour, const Tensor& image,
-                      const Tensor& mask, const Tensor& valid) const {
-    const Index h = mask.dim(0), w = mask.dim(1), P = h * w;
-    // MSE and SSIM are means over the mask; its share makes them means over all that is valid.
-    const double count = sum_of(valid), share = count > 0 ? sum_of(mask) / count : 0;
-    if (config.colour_weight > 0) {
-      Tensor mask3({3, h, w});
-      for (Index i = 0; i < 3 * P; ++i) mask3[i] = mask[i % P];
-      add_term(total, mse(colour, image, mask3), weight * share * config.colour_weight);
-    }
-    if (config.ssim_weight > 0)
-      add_term(total, affine(ssim(colour, image, SsimKind::conv, mask), -1.f, 1.f),
-               weight * share * config.ssim_weight);
-    if (config.lpips_weight > 0 && context.lpips != nullptr &&
-        std::min(h, w) >= context.lpips->smallest_side())
-      add_term(total, (*context.lpips)(colour, image, mask), weight * config.lpips_weight);
-  }
-
   /// L_app and the rendered height. Returns the PSNR over opaque pixels and the share of them that
   /// appearance is routed to.
   std::pair<double, double> add_target(Var& total, double weight) const {
-    const splat::Render render = rendered(stage.surfels);
+    const nn::View& view = *crop.target;
+    const auto render = nn::render_view(stage.surfels, view.pixel_from_local, view.rgb.dim(1),
+                                        view.rgb.dim(2), stage.stride);
     const Index h = render.alpha.dim(0), w = render.alpha.dim(1), P = h * w;
-    const Tensor image = area_downsample(Var(crop.target->rgb), stage.stride).value();
-    const Tensor seen = area_downsample(Var(crop.target->valid), stage.stride).value();
+    const Tensor image = area_downsample(Var(view.rgb), stage.stride).value();
+    const Tensor seen = area_downsample(Var(view.valid), stage.stride).value();
     Tensor opaque({h, w}), confidence({h, w});
     double error = 0;
     for (Index i = 0; i < P; ++i) {
@@ -179,12 +141,21 @@ struct StageLoss {
       }
     }
     const double count = sum_of(opaque);
-    const Tensor confident = route(confidence, opaque).appearance;
-    const double share = count > 0 ? sum_of(confident) / count : 0;
-    if (config.routing == "cbrl+looks" && share < 1)
-      add_appearance(total, weight, placed_by(confident, render.colour), image, opaque, opaque);
-    else
-      add_appearance(total, weight, render.colour, image, confident, opaque);
+    const Tensor mask = route(confidence, opaque).appearance;
+    const double share = count > 0 ? sum_of(mask) / count : 0;
+
+    // MSE and SSIM are means over the mask; its share makes them means over all opaque pixels.
+    if (config.colour_weight > 0) {
+      Tensor mask3({3, h, w});
+      for (Index i = 0; i < 3 * P; ++i) mask3[i] = mask[i % P];
+      add_term(total, mse(render.colour, image, mask3), weight * share * config.colour_weight);
+    }
+    if (config.ssim_weight > 0)
+      add_term(total, affine(ssim(render.colour, image, SsimKind::conv, mask), -1.f, 1.f),
+               weight * share * config.ssim_weight);
+    if (config.lpips_weight > 0 && context.lpips != nullptr &&
+        std::min(h, w) >= context.lpips->smallest_side())
+      add_term(total, (*context.lpips)(render.colour, image, mask), weight * config.lpips_weight);
     if (!crop.target_truth.empty() && config.render_height_weight > 0) {
       const Tensor truth = subsampled(crop.target_truth, stage.stride);
       Tensor known({h, w});

@@ -24,11 +24,9 @@ struct LossConfig {
   double ssim_weight = 0.05;          ///< 1 - SSIM of it
   double lpips_weight = 0.1;          ///< LPIPS of it
   std::string lpips_weights;          ///< its network; without a file the term is off
-  /// Of Pearson and appearance losses: none | cbrl, the published one | cbrl+looks, where doubtful
-  /// pixels teach appearance all but place.
-  std::string routing = "cbrl";
-  double routing_tau = 0.2;       ///< confidence that parts them
-  Index appearance_warmup = 200;  ///< steps in which appearance counts everywhere
+  std::string routing = "cbrl";       ///< of Pearson and appearance losses: none | cbrl
+  double routing_tau = 0.2;           ///< confidence that parts them
+  Index appearance_warmup = 200;      ///< steps in which appearance counts everywhere
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -54,7 +52,7 @@ struct LossConfig {
                     "smaller than it takes (of alex 31 px)"});
     v("routing", s.routing,
       Field{.help = "which pixels correlation and appearance learn from",
-            .choices = {"none", "cbrl", "cbrl+looks"}});
+            .choices = {"none", "cbrl"}});
     v("routing_tau", s.routing_tau,
       Field{.help = "confidence that parts them", .min = 0, .max = 1});
     v("appearance_warmup", s.appearance_warmup,
@@ -96,12 +94,10 @@ struct LossReport {
 /// with the true heights of the sources, and colour and height rendered in the target view; the
 /// target's terms count only where the rendered surface is opaque (alpha > 0.5). The masks m route
 /// pixels by confidence (train/routing.h), that of the target rendered like its colours; means are
-/// over all valid pixels, so routing weighs the losses against each other. With `cbrl+looks` m_app
-/// is 1 wherever the surface is opaque, and m_app of `cbrl` cuts the gradients to the surfels'
-/// means alone: what is doubtful does not pull the surface to where colours happen to fit, but
-/// keeps on learning how it looks. A confident pixel takes part in the moments of its patch, so
-/// L_geo of its doubtful neighbours reaches it. LPIPS is that of both pictures, black outside
-/// m_app, over the whole view, in stages as large as its network takes.
+/// over all valid pixels, so routing weighs the losses against each other. A confident pixel takes
+/// part in the moments of its patch, so L_geo of its doubtful neighbours reaches it. LPIPS is that
+/// of both pictures, black outside m_app, over the whole view, in stages as large as its network
+/// takes.
 /// Source: SatSurfGS, confidence-based routing of losses; the terms of H* are ours.
 /// config   weights
 /// model    of the network: how confidence is read
