@@ -15,7 +15,8 @@ Index norm_groups(Index channels);
 // Blocks take and return values whose normalisation is left to the next reader
 // (ops/normalised.h): between two convolutions no tensor but the convolution's own is made.
 
-/// 2D convolution with bias. Padding keeps (stride 1) or divides (stride s) the size.
+/// 2D convolution with bias, of maps [B C H W]. Padding keeps (stride 1) or divides (stride s) the
+/// size.
 template <class T>
 struct Conv2d {
   BasicVar<T> weight, bias;

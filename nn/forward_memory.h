@@ -9,15 +9,15 @@
 
 namespace satsurf::nn {
 
-/// Most bytes in tensors at one time during one part of a forward pass, its results and what earlier
-/// parts left behind included, the scene not.
+/// Most bytes in tensors at one time during one part of a forward pass, its results and what
+/// earlier parts left behind included, the scene not.
 struct PartMemory {
   std::string part;  ///< "features", "volumes 1", "heads 1", "volumes 2", ..
   double bytes = 0;
 };
 
-/// What `BasicModel::forward` takes without a tape, foreseen from the sizes of features, volumes, heads and
-/// surfels.
+/// What `BasicModel::forward` takes without a tape, foreseen from the sizes of features, volumes,
+/// heads and surfels.
 /// height, width  of the views, image pixels
 /// returns        the parts in the order of the pass, each within a tenth
 std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,

@@ -16,6 +16,7 @@ double mean_parallax(const SceneInput& scene);
 /// clipped to [interval_min, interval_max]; the second's is twice that; the first divides the
 /// scene's range evenly.
 /// returns  m, coarse to fine
+/// Source: after Gu et al. 2020 (CasMVSNet), with intervals by parallax instead of fixed ones.
 std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const SceneInput& scene);
 
 /// Stage 1: heights from low to high, both included, the same for every pixel.

@@ -36,6 +36,7 @@ struct StageOutput {
   BasicTensor<T> mono_height;  ///< [N h w] of the monocular branch, relative; empty without one
 };
 
+/// Before the names of the monocular branch's parameters among those of a model.
 inline constexpr const char* kMonoPrefix = "mono.";
 
 /// A stage's confidence as all that asks for one reads it, by `ModelConfig::confidence`:
@@ -48,6 +49,8 @@ template <class T>
 BasicTensor<T> effective_confidence(const ModelConfig& config, const StageOutput<T>& stage);
 
 /// The three-stage coarse-to-fine cascade.
+/// Source: SatSurfGS; stages and search after Gu et al. 2020 (CasMVSNet) and Gao et al. 2021
+/// (SatMVS), pixel-aligned splats after Charatan et al. 2024 (pixelSplat).
 template <class T>
 class BasicModel {
  public:

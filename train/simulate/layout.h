@@ -22,11 +22,11 @@ struct Block {
 
 /// Two families of straight streets, at right angles, about the centre of the field.
 struct Streets {
-  float cos = 1, sin = 0;  ///< direction of the first axis, u
-  float half_width = 4, pavement = 2;
+  float cos = 1, sin = 0;              ///< direction of the first axis, u
+  float half_width = 4, pavement = 2;  ///< m
   Colour colour{};
   bool marked = true;
-  std::vector<float> u_lines, v_lines;  ///< positions of the street axes, ascending
+  std::vector<float> u_lines, v_lines;  ///< positions of the street axes, ascending, m
 
   float u_of(float x, float y) const { return x * cos + y * sin; }
   float v_of(float x, float y) const { return y * cos - x * sin; }
@@ -38,8 +38,8 @@ struct Layout {
   Tensor terrain;  ///< [H W] local height of the bare ground, m
   Tensor shore;    ///< [H W] distance from the water, m, negative in it; empty without water
   Tensor lane;     ///< [H W] distance from the axis of the nearest winding lane, m; empty without
-  float water_height = 0;
-  float lane_half_width = 2.5f;
+  float water_height = 0;        ///< local height, m
+  float lane_half_width = 2.5f;  ///< m
   Streets streets;
   std::vector<Block> blocks;  ///< row by row of v, u_lines.size() - 1 in a row
   std::vector<Part> parts;

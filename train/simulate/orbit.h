@@ -54,6 +54,8 @@ struct RpcFit {
 /// solution before, damped because so small a part of the Earth does not determine them all.
 /// low, high  heights above the ellipsoid, m
 /// margin_px  how far beyond the image the ground reaches that is fitted
+/// throws     Error unless low < high
+/// Source: Tao and Hu 2001, iterative least squares with regularisation.
 RpcFit fit_rpc(const PushBroom& camera, double low, double high, double margin_px = 8000);
 
 /// Position of the sun, degrees, azimuth clockwise from north.
