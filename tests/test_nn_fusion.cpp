@@ -8,13 +8,13 @@
 #include <vector>
 
 #include "tests/gradcheck.h"
+#include "tests/ref/conv_ref.h"
 
 using namespace satsurf;
 using namespace satsurf::test;
 
 namespace {
 
-using Doubles = BasicTensor<double>;
 using Parameters = nn::ParameterSet<double>;
 
 /// Random values for every parameter, biases too: nothing that starts at zero hides what is behind.
@@ -71,21 +71,16 @@ std::vector<double> pixel(const Doubles& t, Index n, Index at) {
 Doubles convolved(const std::map<std::string, Doubles>& p, const std::string& name,
                   const Doubles& x) {
   const Doubles &w = p.at(name + ".weight"), &b = p.at(name + ".bias");
-  const Index O = w.dim(0), C = w.dim(1), K = w.dim(2), H = x.dim(2), W = x.dim(3);
-  Doubles y({1, O, H, W});
-  for (Index o = 0; o < O; ++o)
-    for (Index r = 0; r < H; ++r)
-      for (Index c = 0; c < W; ++c) {
-        double sum = b[o];
-        for (Index i = 0; i < C; ++i)
-          for (Index j = 0; j < K; ++j)
-            for (Index k = 0; k < K; ++k) {
-              const Index u = r + j - K / 2, v = c + k - K / 2;
-              if (u < 0 || u >= H || v < 0 || v >= W) continue;
-              sum += w[((o * C + i) * K + j) * K + k] * x[(i * H + u) * W + v];
-            }
-        y[(o * H + r) * W + c] = sum;
-      }
+  const Index O = w.dim(0), K = w.dim(2), H = x.dim(2), W = x.dim(3);
+  const conv::Geometry g{.C = w.dim(1),
+                         .O = O,
+                         .x_size = {1, H, W},
+                         .y_size = {1, H, W},
+                         .kernel = {1, K, K},
+                         .stride = {1, 1, 1},
+                         .padding = {0, K / 2, K / 2}};
+  Doubles y = correlate_ref(g, x, w).reshaped({1, O, H, W});
+  for (Index i = 0; i < y.count(); ++i) y[i] += b[i / (H * W)];
   return y;
 }
 

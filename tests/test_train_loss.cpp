@@ -1,16 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/core/safetensors.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/train/loss.h"
 
 #include <array>
 #include <cmath>
-#include <filesystem>
-#include <limits>
 #include <string>
 
 #include "tests/affine_scene.h"
 #include "tests/gradcheck.h"
+#include "tests/small_lpips.h"
 
 using namespace satsurf;
 using namespace satsurf::test;
@@ -231,13 +229,7 @@ TEST_CASE("correlation learns from doubtful pixels") {
 
 TEST_CASE("the perceptual term, in stages large enough for its network") {
   const Made made;
-  const std::string prefix = "lpips.alex.";
-  TensorFile network;
-  for (const auto& [name, tensor] : load_safetensors(std::filesystem::path(__FILE__).parent_path() /
-                                                     "golden" / "image_golden.safetensors")
-                                        .tensors)
-    if (name.starts_with(prefix)) network.tensors[name.substr(prefix.size())] = tensor.clone();
-  const nn::Lpips lpips(network, "alex");
+  const nn::Lpips lpips = small_lpips();
   REQUIRE(lpips.smallest_side() > kSide / 2);
   REQUIRE(lpips.smallest_side() <= kSide);
   LossConfig config = silent();

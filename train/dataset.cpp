@@ -3,7 +3,6 @@
 
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/raster.h"
-#include "satsurf/rpc/read.h"
 
 #include <algorithm>
 #include <cmath>
@@ -272,6 +271,19 @@ std::vector<std::string> list_scenes(const fs::path& folder) {
   return {names.begin(), names.end()};
 }
 
+SceneView view_of(const rpc::Image& image, const fs::path& file) {
+  SceneView view;
+  view.name = image.info.path.stem().string();
+  view.rgb = rpc::to_rgb(image);
+  view.valid = image.valid;
+  view.rpc = *image.info.rpc;
+  view.sun_elevation_deg = image.info.sun_elevation_deg.value_or(0);
+  view.sun_azimuth_deg = image.info.sun_azimuth_deg.value_or(0);
+  view.date = image.info.acquisition_date.value_or("");
+  view.file = file;
+  return view;
+}
+
 Scene load_scene(const fs::path& folder, const std::string& name) {
   const SceneFiles files = files_of_scene(folder, name);
   Scene scene;
@@ -282,20 +294,11 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
   double low = INFINITY, high = -INFINITY;
   for (const ViewFile& file : files.views) {
     const rpc::Image image = rpc::open_view(file.file, file.image_dirs);
-    SceneView view;
-    view.name = image.info.path.stem().string();
-    view.rgb = rpc::to_rgb(image);
-    view.valid = image.valid;
-    view.rpc = *image.info.rpc;
-    view.sun_elevation_deg = image.info.sun_elevation_deg.value_or(0);
-    view.sun_azimuth_deg = image.info.sun_azimuth_deg.value_or(0);
-    view.date = image.info.acquisition_date.value_or("");
-    view.file = file.file;
     if (image.info.height_range) {
       low = std::min(low, image.info.height_range->low);
       high = std::max(high, image.info.height_range->high);
     }
-    scene.views.push_back(std::move(view));
+    scene.views.push_back(view_of(image, file.file));
   }
 
   const auto centre =

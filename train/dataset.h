@@ -4,6 +4,7 @@
 #include "satsurf/core/rng.h"
 #include "satsurf/nn/scene.h"
 #include "satsurf/rpc/fit.h"
+#include "satsurf/rpc/read.h"
 #include "satsurf/train/raycast.h"
 
 #include <filesystem>
@@ -23,6 +24,10 @@ struct SceneView {
   std::string date;
   std::filesystem::path file{};  ///< what it was read from
 };
+
+/// A view with all that its image says; named after its image file.
+/// file    what it was read from, an image or a JSON file that names one
+SceneView view_of(const rpc::Image& image, const std::filesystem::path& file);
 
 /// Images of one place, and what is known of its surface.
 struct Scene {

@@ -133,15 +133,8 @@ Views read_views(const std::vector<fs::path>& files, const std::vector<fs::path>
   for (const fs::path& file : files) {
     if (poll) poll();
     const rpc::Image image = rpc::open_view(file, image_dirs);
-    SceneView view;
-    view.file = file;
+    SceneView view = view_of(image, file);
     view.name = view_name(file, out.views);
-    view.rgb = rpc::to_rgb(image);
-    view.valid = image.valid;
-    view.rpc = *image.info.rpc;
-    view.sun_elevation_deg = image.info.sun_elevation_deg.value_or(0);
-    view.sun_azimuth_deg = image.info.sun_azimuth_deg.value_or(0);
-    view.date = image.info.acquisition_date.value_or("");
     if (const auto& range = image.info.height_range) {
       if (!out.named) out.named = range;
       out.named->low = std::min(out.named->low, range->low),
