@@ -11,8 +11,9 @@ OUT/scores/NAME.csv, NAME.json says which program made it with which settings; a
 refused, a score that says nothing is taken as it is.
 
 OUT/table.md and OUT/table.json hold all scores in OUT/scores, whatever was asked for this time: means over scenes and
-seeds, ± half the range over the seeds (of two seeds, how far each lies from the mean), and what the whole method gains
-over each other variant. It is `ahead` or `behind` where two things hold:
+seeds, ± half the range over the seeds (of two seeds, how far each lies from the mean), what the whole method gains over
+each other variant, and what each of its three modules gains, averaged over all four settings of the other two: four
+times the evidence, of the same trainings. A gain is `ahead` or `behind` where two things hold:
 - its mean gain exceeds what separates the seeds, that is the range of their gains;
 - a two-sided sign test over the scenes, of each scene's gain averaged over the seeds, gives p <= 0.05: of 12 scenes,
   10 of that sign. Ties are dropped.
@@ -59,6 +60,10 @@ VARIANTS = {
     'skysplat_like': ['--preset', 'skysplat_like'],
 }
 
+# What takes a module out.
+SWITCHES = {'fusion': ('--model.fusion', 'none'), 'guidance': ('--model.guidance', 'none'),
+            'routing': ('--routing', 'none')}
+
 # Columns of the table: column of evaluate's CSV, title, factor, digits, whether less is better.
 COLUMNS = [
     ('render_target_mae', 'target MAE m', 1, 3, True),
@@ -83,10 +88,11 @@ NOTES = (
     '± half the range over the seeds. Error falls with confidence: in how many seeds each tenth of the pixels, by '
     'confidence, has a smaller mean error than the tenth before, for source views and for the DSM.',
     'Gains of the whole method over each other variant, seed by seed and mean over scenes, of errors the share that is '
-    'saved; in brackets the scenes where it is better, averaged over the seeds. Ahead or behind: the mean gain exceeds '
-    'what separates the seeds, and a sign test over the scenes gives p <= 0.05; had nothing differed and did each '
-    'scene of each seed vary by itself, 2.5 % of the verdicts of two seeds and 12 scenes would be one of both by '
-    'chance (up to 29 % where a seed moves all scenes alike).')
+    'saved; in brackets the scenes where it is better, averaged over the seeds. Those of a module are means over all '
+    'settings of the other two. Ahead or behind: the mean gain exceeds what separates the seeds, and a sign test over '
+    'the scenes gives p <= 0.05; had nothing differed and did each scene of each seed vary by itself, 2.5 % of the '
+    'verdicts of two seeds and 12 scenes would be one of both by chance (up to 29 % where a seed moves all scenes '
+    'alike).')
 
 CORES = len(os.sched_getaffinity(0))
 PRINTING = threading.Lock()
@@ -200,19 +206,29 @@ def verdict(gains, scenes):
     return 'undecided'
 
 
-def compare(full, other, column):
-    """The whole method against another variant, both [{scene: row}] of the same seeds, in one column; nothing if they
-    have no numbers in common. Seed by seed and scene by scene, both saw the same crops and are scored on the same
-    images, so what seeds and scenes do to either cancels: the gain is a mean of differences, of errors of their
-    logarithms, as else the hardest scene would outweigh all others, told as the share of the other's error that is
-    saved."""
+def partners(module):
+    """Variants that differ in one module alone: [(with it, without it)]."""
+    named = {frozenset(zip(words[::2], words[1::2])): variant for variant, words in VARIANTS.items()}
+    off = SWITCHES[module]
+    return [(variant, named[words | {off}]) for words, variant in named.items()
+            if off not in words and words | {off} in named]
+
+
+def compare(pairs, column):
+    """Variants against others in one column. By seed a list of pairs of {scene: row}, ours and the other; nothing if
+    they have no numbers in common. Both of a pair saw the same crops and are scored on the same images, so what seeds
+    and scenes do to either cancels: the gain is a mean of differences, of errors of their logarithms, as else the
+    hardest scene would outweigh all others, told as the share of the other's error that is saved."""
     key, _, factor, _, less = column
-    usable = [scene for scene in (full[0] if full else ())
-              if all(key in rows[scene] and (not less or rows[scene][key] > 0) for rows in full + other)]
+    tables = [rows for of_seed in pairs for pair in of_seed for rows in pair]
+    usable = [scene for scene in (tables[0] if tables else ())
+              if all(key in rows[scene] and (not less or rows[scene][key] > 0) for rows in tables)]
     if not usable:
         return None
-    by_seed = [[math.log(b[s][key] / a[s][key]) if less else a[s][key] - b[s][key] for s in usable]
-               for a, b in zip(full, other)]
+
+    def difference(ours, other):
+        return math.log(other[key] / ours[key]) if less else ours[key] - other[key]
+    by_seed = [[sum(difference(a[s], b[s]) for a, b in of_seed) / len(of_seed) for s in usable] for of_seed in pairs]
     gains = [sum(d) / len(d) for d in by_seed]
     gains = [100 * (1 - math.exp(-g)) for g in gains] if less else [factor * g for g in gains]
     scenes = [sum(d) / len(d) for d in zip(*by_seed)]
@@ -263,12 +279,20 @@ def paragraph(text, indent=''):
                          break_long_words=False, break_on_hyphens=False)
 
 
+def gains_of(scores, couples, columns):
+    """What the first of each couple of variants gains over the second: the seeds that all have, and what `compare`
+    finds, by column."""
+    seeds = [k for k in scores[couples[0][0]] if all(k in scores[v] for couple in couples for v in couple)]
+    pairs = [[(scores[a][k][1], scores[b][k][1]) for a, b in couples] for k in seeds]
+    return seeds, [compare(pairs, column) for column in columns]
+
+
 def gain_lines(gains, columns):
-    """gains: {variant: (seeds, [found by `compare`, by column])}"""
+    """gains: {what: (seeds, [found by `compare`, by column])}"""
     lines = []
-    for variant, (seeds, found) in gains.items():
+    for what, (seeds, found) in gains.items():
         which = f'seed{"s" if len(seeds) > 1 else ""} ' + ', '.join(map(str, seeds)) if seeds else 'no seed in common'
-        lines.append(f'- full against {variant}, {which}')
+        lines.append(f'- {what}, {which}')
         for word in ('ahead', 'behind', 'undecided', 'one seed'):
             told = [gain_text(title, digits, f) for (_, title, _, digits, _), f in zip(columns, found)
                     if f and f['verdict'] == word]
@@ -288,6 +312,11 @@ def program_lines(scores):
     return paragraph('Trained by: ' + ', '.join(told) + '.')
 
 
+def as_json(gains, columns):
+    return {what: {'seeds': seeds, 'columns': {key: f for (key, *_), f in zip(columns, found) if f}}
+            for what, (seeds, found) in gains.items()}
+
+
 def write_table(out, config, scores):
     """Writes OUT/table.md and OUT/table.json and returns the lines of the first.
     scores: {variant: {seed: (mean row, {scene: row}, record)}}"""
@@ -299,12 +328,11 @@ def write_table(out, config, scores):
                  for key, _, factor, digits, _ in columns]
         cells.append(confidence_cell([record for *_, record in runs.values()]))
         lines.append(f'| {variant} | ' + ' | '.join(cells) + ' |')
-    gains = {}
-    for variant, runs in scores.items():
-        if variant != 'full' and 'full' in scores:
-            seeds = [k for k in runs if k in scores['full']]
-            full, other = [scores['full'][k][1] for k in seeds], [runs[k][1] for k in seeds]
-            gains[variant] = seeds, [compare(full, other, column) for column in columns]
+    of_full = {v: gains_of(scores, [('full', v)], columns) for v in scores if v != 'full' and 'full' in scores}
+    of_modules = {m: gains_of(scores, partners(m), columns) for m in SWITCHES
+                  if all(v in scores for couple in partners(m) for v in couple)}
+    gains = {f'full against {v}': found for v, found in of_full.items()}
+    gains |= {f'{m} in all settings of the others': found for m, found in of_modules.items()}
     lines += ['', *paragraph(NOTES[0]), '', *program_lines(scores)]
     if gains:
         lines += ['', *paragraph(NOTES[1]), '', *gain_lines(gains, columns)]
@@ -314,8 +342,7 @@ def write_table(out, config, scores):
         {'experiment': config,
          'scores': {v: {k: {'mean': mean, 'scenes': scenes, 'record': record}
                         for k, (mean, scenes, record) in runs.items()} for v, runs in scores.items()},
-         'gains_of_full': {v: {'seeds': seeds, 'columns': {key: f for (key, *_), f in zip(columns, found) if f}}
-                           for v, (seeds, found) in gains.items()}},
+         'gains_of_full': as_json(of_full, columns), 'gains_of_modules': as_json(of_modules, columns)},
         indent=2) + '\n')
     return lines
 

@@ -83,6 +83,11 @@ def rows(key, values, names=None):
     return {s: {key: v} for s, v in zip(names or SCENES, values)}
 
 
+def compare(full, other, column):
+    """One variant against another: [{scene: row}] of the same seeds."""
+    return experiment.compare([[pair] for pair in zip(full, other)], column)
+
+
 def table(scenes, value):
     """A table of evaluate."""
     return 'scene,dsm_mae\n' + ''.join(f'{s},{value}\n' for s in [*scenes, 'mean'])
@@ -131,16 +136,16 @@ class Verdict(unittest.TestCase):
 class Compare(unittest.TestCase):
     def test_errors_by_their_ratio(self):
         full, other = [rows('mae', [1.] * 12), rows('mae', [2.] * 12)], [rows('mae', [2.] * 12), rows('mae', [4.] * 12)]
-        found = experiment.compare(full, other, ERROR)
+        found = compare(full, other, ERROR)
         self.assertEqual(found['verdict'], 'ahead')
         for gain in found['gains']:
             self.assertAlmostEqual(gain, 50)
         self.assertEqual((found['unit'], found['ahead'], found['behind'], found['scenes']), ('%', 12, 0, 12))
-        self.assertEqual(experiment.compare(other, full, ERROR)['verdict'], 'behind')
+        self.assertEqual(compare(other, full, ERROR)['verdict'], 'behind')
         self.assertEqual(experiment.gain_text('MAE m', 3, found), 'MAE m: +50.0, +50.0 % (12 of 12)')
 
     def test_others_by_their_difference(self):
-        found = experiment.compare([rows('psnr', [20.5] * 12)], [rows('psnr', [20.] * 12)], SCORE)
+        found = compare([rows('psnr', [20.5] * 12)], [rows('psnr', [20.] * 12)], SCORE)
         self.assertEqual((found['verdict'], found['gains'], found['unit']), ('one seed', [0.5], ''))
         self.assertEqual(experiment.gain_text('PSNR dB', 2, found), 'PSNR dB: +0.50 (12 of 12)')
 
@@ -148,20 +153,57 @@ class Compare(unittest.TestCase):
         values = [float(i) for i in range(1, 13)]
         full = rows('psnr', values)
         other = rows('psnr', [v - 1 for v in reversed(values)], list(reversed(SCENES)))
-        self.assertEqual(experiment.compare([full], [other], SCORE)['ahead'], 12)
+        self.assertEqual(compare([full], [other], SCORE)['ahead'], 12)
 
     def test_scenes_count_averaged_over_seeds(self):
         full = [rows('psnr', [1.] * 12), rows('psnr', [-3.] + [1.] * 11)]
-        found = experiment.compare(full, [rows('psnr', [0.] * 12)] * 2, SCORE)
+        found = compare(full, [rows('psnr', [0.] * 12)] * 2, SCORE)
         self.assertEqual((found['ahead'], found['behind'], found['scenes']), (11, 1, 12))
 
     def test_what_does_not_exist(self):
         full, other = rows('mae', [1.] * 12), rows('mae', [2.] * 12)
         del full['SIM_003']['mae']
         other['SIM_004']['mae'] = 0.  # no logarithm
-        self.assertEqual(experiment.compare([full], [other], ERROR)['scenes'], 10)
-        self.assertIsNone(experiment.compare([full], [other], SCORE))
-        self.assertIsNone(experiment.compare([], [], SCORE))
+        self.assertEqual(compare([full], [other], ERROR)['scenes'], 10)
+        self.assertIsNone(compare([full], [other], SCORE))
+        self.assertIsNone(compare([], [], SCORE))
+
+
+class Modules(unittest.TestCase):
+    OFF = {'full': '', 'no fusion': 'F', 'no guidance': 'G', 'no routing': 'R', 'no fusion, no guidance': 'FG',
+           'no fusion, no routing': 'FR', 'no guidance, no routing': 'GR', 'none of the three': 'FGR'}
+
+    def test_partners(self):
+        for module, letter in (('fusion', 'F'), ('guidance', 'G'), ('routing', 'R')):
+            couples = experiment.partners(module)
+            self.assertEqual({(self.OFF[a], self.OFF[b].replace(letter, '')) for a, b in couples},
+                             {(off, off) for off in self.OFF.values() if letter not in off})
+            self.assertTrue(all(letter in self.OFF[b] for _, b in couples))
+
+    def scores(self, seeds, value):
+        """value(which are off, seed)"""
+        return {v: {seed: ({}, rows('psnr', [value(off, seed)] * 12), {}) for seed in seeds}
+                for v, off in self.OFF.items()}
+
+    def test_means_over_settings(self):
+        def value(off, seed):  # fusion: 2; routing: 1 with guidance, -1 without
+            return seed - 2 * ('F' in off) - (('R' in off) != ('G' in off))
+        scores = self.scores([1, 2], value)
+        found = {m: experiment.gains_of(scores, experiment.partners(m), [SCORE]) for m in experiment.SWITCHES}
+        self.assertEqual([(seeds, of[0]['gains']) for seeds, of in found.values()],
+                         [([1, 2], [2, 2]), ([1, 2], [0, 0]), ([1, 2], [0, 0])])
+        self.assertEqual(found['fusion'][1][0]['verdict'], 'ahead')
+        self.assertEqual(found['routing'][1][0]['verdict'], 'undecided')
+        self.assertEqual(experiment.gains_of(scores, [('full', 'no routing')], [SCORE])[1][0]['gains'], [1, 1])
+
+    def test_seeds_that_all_have(self):
+        scores = self.scores([1, 2, 3], lambda off, seed: 1.)
+        del scores['none of the three'][2]
+        self.assertEqual(experiment.gains_of(scores, experiment.partners('routing'), [SCORE])[0], [1, 3])
+        self.assertEqual(experiment.gains_of(scores, [('full', 'no routing')], [SCORE])[0], [1, 2, 3])
+        for seed in (1, 3):
+            del scores['no routing'][seed]
+        self.assertEqual(experiment.gains_of(scores, experiment.partners('routing'), [SCORE]), ([], [None]))
 
 
 class Cells(unittest.TestCase):
@@ -281,6 +323,7 @@ class Script(Folder):
         self.assertIn('- full against no fusion, seeds 1, 2\n  - undecided: ', self.table())
         self.assertIn('DSM MAE m: +33.3, +33.3 % (2 of 2)', self.table())  # two scenes decide nothing
         self.assertIn('Trained by: satsurf 9.8.6 (abb) (4 scores).', self.table())
+        self.assertNotIn('in all settings', self.table())
         self.assertTrue(printed.endswith(self.table()))
         self.assertEqual(sorted(os.listdir(self.out)),
                          ['experiment.json', 'heldout', 'runs', 'scores', 'simulate.log', 'table.json', 'table.md', 'train'])
@@ -306,6 +349,16 @@ class Script(Folder):
         self.assertEqual(list(self.json('table.json')['scores']), ['full', 'no fusion'])
         self.assertEqual(self.json('table.json')['experiment']['seeds'], [1, 2])
         self.assertIn('full against no fusion, seed 1\n  - one seed: ', self.table())
+
+    def test_modules(self):
+        self.runs('--only', '^(full|no |none )', '--seeds', '1')
+        self.assertEqual(len(self.calls('train')), 8)
+        self.assertRegex(self.table(),
+                         r'\n- fusion in all settings of the others, seed 1\n  - one seed: .*DSM MAE m: \+9\.6 %')
+        modules = self.json('table.json')['gains_of_modules']
+        self.assertEqual(list(modules), ['fusion', 'guidance', 'routing'])  # full is 1, all others 1.5
+        self.assertAlmostEqual(modules['fusion']['columns']['dsm_mae']['gains'][0], 100 * (1 - 1.5**-0.25))
+        self.assertEqual(list(self.json('table.json')['gains_of_full'])[0], 'no fusion')
 
     def test_scores_without_a_record_are_taken(self):
         self.runs()
