@@ -12,6 +12,7 @@
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/loss.h"
 #include "satsurf/ops/softmax.h"
+#include "satsurf/splat/view.h"
 
 #include <array>
 #include <fstream>
@@ -26,7 +27,7 @@ namespace {
 
 using nn::kStrides;
 
-nn::SceneInput bench_scene(Index side) {
+nn::NetworkInput bench_scene(Index side) {
   return test::affine_scene(
       side, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}}, -25, 25,
       [](double x, double y) { return 4 * std::cos(0.1 * x) * std::cos(0.08 * y); });
@@ -166,7 +167,8 @@ void stage_infer(benchmark::State& state) {
   const nn::SurfelHead<float> head(parameters, "head", 3 + C + D + 1, config.head_width[stage]);
   const auto scene = bench_scene(state.range(2));
   std::vector<nn::PixelGeometry> geometry;
-  for (const nn::View& v : scene.sources) geometry.push_back(nn::pixel_geometry(v, 0, stride));
+  for (const nn::PosedImage& v : scene.sources)
+    geometry.push_back(nn::pixel_geometry(v, 0, stride));
   const double reach = stage == 0 ? 25 : 25 / number(Index{4} << stage);
   const Tensor heights = nn::uniform_hypotheses<float>(-reach, reach, N, D, side, side);
   const Var features = normal({N, C, side, side}), image = normal({N, 3, side, side});
@@ -209,7 +211,7 @@ void train_step(benchmark::State& state, const std::string& preset) {
     Var total;
     for (const auto& s : model.forward(scene)) {
       const auto render =
-          nn::render_view(s.surfels, scene.sources[0].pixel_from_local, side, side, s.stride);
+          splat::render_view(s.surfels, scene.sources[0].pixel_from_local, side, side, s.stride);
       const Var term = smooth_l1(s.height, Tensor(s.height.shape(), 0.F), {}, 1.F) +
                        mse(render.colour, Tensor(render.colour.shape(), 0.5F), {});
       total = total.empty() ? term : total + term;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/bench/bench.h"
-#include "satsurf/ops/conv.h"
+#include "satsurf/ops/conv/conv.h"
 
 /// Convolutions at the network's shapes.
 namespace satsurf::bench {

@@ -28,6 +28,10 @@ template <class E>
 struct ElementOf<std::span<E>> {
   using type = E;
 };
+template <>
+struct ElementOf<EnumTarget> {  // as files and flags have it
+  using type = std::string;
+};
 
 template <class T>
 inline constexpr bool kIsVector = false;
@@ -124,13 +128,15 @@ std::vector<std::string> split(const std::string& text) {
 }
 
 /// The values of a field, whatever its form.
-std::vector<std::string> texts_of(const FieldTarget& target) {
+std::vector<std::string> texts_of(const FieldRef& field) {
   return std::visit(
-      [](const auto& t) {
+      [&choices = field.meta.choices](const auto& t) {
         using Target = std::remove_cvref_t<decltype(t)>;
         using E = typename ElementOf<Target>::type;
         std::vector<std::string> out;
-        if constexpr (kIsVector<Target>)
+        if constexpr (std::is_same_v<Target, EnumTarget>)
+          for (const std::size_t number : t.get(t.values)) out.push_back(choices[number]);
+        else if constexpr (kIsVector<Target>)
           for (const auto& x : *t) out.push_back(to_text<E>(x));
         else if constexpr (kIsSpan<Target>)
           for (const auto& x : t) out.push_back(to_text<E>(x));
@@ -138,7 +144,7 @@ std::vector<std::string> texts_of(const FieldTarget& target) {
           out.push_back(to_text<E>(*t));
         return out;
       },
-      target);
+      field.target);
 }
 
 std::size_t fixed_length(const FieldTarget& target) {
@@ -246,6 +252,7 @@ bool FieldRef::is_list() const {
   return std::visit(
       [](const auto& t) {
         using Target = std::remove_cvref_t<decltype(t)>;
+        if constexpr (std::is_same_v<Target, EnumTarget>) return t.list;
         return kIsVector<Target> || kIsSpan<Target>;
       },
       target);
@@ -255,6 +262,11 @@ void detail::refuse_value(const FieldRef& field, const std::string& shown,
                           const std::string& where) {
   throw ConfigError(where + ": " + field.name + " is " + shown + ", expected " +
                     expected_text(field));
+}
+
+void detail::refuse_choice(const std::string& name, const std::vector<std::string>& choices,
+                           const std::string& where) {
+  throw ConfigError(where + ": " + quoted(name) + ", expected one of " + join(choices, ", "));
 }
 
 void detail::refuse_unknown(const std::string& name, const std::vector<std::string>& known,
@@ -290,7 +302,14 @@ void detail::assign_field(const FieldRef& field, const std::vector<std::string>&
           if (!parse(text, value) || !allowed(field.meta, value)) refuse_value(field, shown, where);
           values.push_back(value);
         }
-        if constexpr (kIsVector<Target>) {
+        if constexpr (std::is_same_v<Target, EnumTarget>) {
+          if (!t.list && values.size() != 1) refuse_value(field, shown, where);
+          std::vector<std::size_t> numbers;
+          for (const E& value : values)
+            numbers.push_back(static_cast<std::size_t>(
+                std::ranges::find(field.meta.choices, value) - field.meta.choices.begin()));
+          t.set(t.values, numbers);
+        } else if constexpr (kIsVector<Target>) {
           *t = values;
         } else if constexpr (kIsSpan<Target>) {
           if (values.size() != t.size()) refuse_value(field, shown, where);
@@ -315,7 +334,7 @@ void detail::set_ref(const std::vector<FieldRef>& fields, const std::string& nam
 
 void detail::check_refs(const std::vector<FieldRef>& fields, const std::string& where) {
   for (const FieldRef& f : fields) {
-    const auto texts = texts_of(f.target);
+    const auto texts = texts_of(f);
     assign_field(f, texts, join(texts, ","), where);  // stores what is already there
   }
 }
@@ -323,8 +342,8 @@ void detail::check_refs(const std::vector<FieldRef>& fields, const std::string& 
 std::vector<FieldInfo> detail::describe_refs(const std::vector<FieldRef>& fields) {
   std::vector<FieldInfo> rows;
   for (const FieldRef& f : fields)
-    rows.push_back({f.name, type_text(f), join(texts_of(f.target), ","), range_text(f), f.meta.unit,
-                    f.meta.help});
+    rows.push_back(
+        {f.name, type_text(f), join(texts_of(f), ","), range_text(f), f.meta.unit, f.meta.help});
   return rows;
 }
 

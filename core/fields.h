@@ -29,8 +29,26 @@ namespace satsurf {
 //   };
 //
 // and JSON (core/fields_json.h), command-line flags, help and the saved record are all derived from
-// it. Supported field types: bool, int, Index, std::uint64_t, float, double, std::string,
-// std::vector and std::array of those, and nested structs, whose fields are named `model.base`.
+// it. Supported field types: bool, int, Index, std::uint64_t, float, double, std::string and
+// enumerations, std::vector and std::array of those (of enumerations std::vector only), and nested
+// structs, whose fields are named `model.base`.
+
+/// The names of an enumeration's values, in the order of the values from 0 on, as files and flags
+/// spell them. To be specialised for every enumeration that is a field:
+///   enum class Fusion { none, naive, cmmf };
+///   template <> struct EnumNames<Fusion> {
+///     static constexpr std::array names{"none", "naive", "cmmf"};
+///   };
+template <class E>
+struct EnumNames;
+template <class E>
+concept NamedEnum = std::is_enum_v<E> && requires { EnumNames<E>::names.size(); };
+
+/// The name of a value.
+template <NamedEnum E>
+std::string enum_name(E value) {
+  return EnumNames<E>::names[static_cast<std::size_t>(value)];
+}
 
 /// What is said about a field besides its name and type.
 struct Field {
@@ -51,10 +69,19 @@ struct FieldInfo {
   friend bool operator==(const FieldInfo&, const FieldInfo&) = default;
 };
 
-/// Where a field lives: a scalar, a list that may be resized, or a list of fixed length.
+// Where a field lives: a scalar, a list that may be resized, a list of fixed length, or an
+// enumeration.
+
+/// An enumeration, or a list of its values, by their numbers; its names are the field's choices.
+struct EnumTarget {
+  void* values;
+  bool list;
+  std::vector<std::size_t> (*get)(const void* values);
+  void (*set)(void* values, const std::vector<std::size_t>& numbers);
+};
 template <class... E>
-using FieldTargetOf = std::variant<E*..., std::vector<E>*..., std::span<E>...>;
-using FieldTarget = FieldTargetOf<bool, int, Index, std::uint64_t, float, double, std::string>;
+using FieldTargetWith = std::variant<E*..., std::vector<E>*..., std::span<E>..., EnumTarget>;
+using FieldTarget = FieldTargetWith<bool, int, Index, std::uint64_t, float, double, std::string>;
 
 /// One field of a live struct; valid as long as the struct is.
 struct FieldRef {
@@ -79,6 +106,47 @@ FieldTarget field_target(std::array<E, N>& x) {
   return std::span<E>(x);
 }
 
+template <NamedEnum E>
+FieldTarget field_target(E& x) {
+  return EnumTarget{&x, false,
+                    [](const void* values) {
+                      return std::vector{static_cast<std::size_t>(*static_cast<const E*>(values))};
+                    },
+                    [](void* values, const std::vector<std::size_t>& numbers) {
+                      *static_cast<E*>(values) = static_cast<E>(numbers.front());
+                    }};
+}
+template <NamedEnum E>
+FieldTarget field_target(std::vector<E>& x) {
+  return EnumTarget{&x, true,
+                    [](const void* values) {
+                      std::vector<std::size_t> numbers;
+                      for (const E value : *static_cast<const std::vector<E>*>(values))
+                        numbers.push_back(static_cast<std::size_t>(value));
+                      return numbers;
+                    },
+                    [](void* values, const std::vector<std::size_t>& numbers) {
+                      auto& list = *static_cast<std::vector<E>*>(values);
+                      list.clear();
+                      for (const std::size_t number : numbers)
+                        list.push_back(static_cast<E>(number));
+                    }};
+}
+
+/// The choices a field has by its type: the names of an enumeration, none for other types.
+template <class X>
+std::vector<std::string> choices_of() {
+  if constexpr (NamedEnum<X>)
+    return {EnumNames<X>::names.begin(), EnumNames<X>::names.end()};
+  else if constexpr (requires {
+                       typename X::value_type;
+                       requires NamedEnum<typename X::value_type>;
+                     })
+    return choices_of<typename X::value_type>();
+  else
+    return {};
+}
+
 /// Visitor that flattens a parameter struct into FieldRefs.
 struct FieldCollector {
   std::string prefix;
@@ -89,6 +157,7 @@ struct FieldCollector {
     if constexpr (requires { X::fields(x, *this); }) {
       X::fields(x, FieldCollector{prefix + name + '.', out});
     } else {
+      if (meta.choices.empty()) meta.choices = choices_of<X>();
       out.push_back({prefix + name, std::move(meta), field_target(x)});
     }
   }
@@ -104,6 +173,8 @@ void assign_field(const FieldRef& field, const std::vector<std::string>& element
                   const std::string& shown, const std::string& where);
 [[noreturn]] void refuse_value(const FieldRef& field, const std::string& shown,
                                const std::string& where);
+[[noreturn]] void refuse_choice(const std::string& name, const std::vector<std::string>& choices,
+                                const std::string& where);
 /// Names the nearest of `known`, or all of them if none is near.
 [[noreturn]] void refuse_unknown(const std::string& name, const std::vector<std::string>& known,
                                  const std::string& where);
@@ -139,6 +210,17 @@ template <HasFields S>
 void set_field(S& s, const std::string& dotted_name, const std::string& text,
                const std::string& where = "option") {
   detail::set_ref(collect_fields(s), dotted_name, text, where);
+}
+
+/// The value of that name.
+/// where   begins the error text
+/// throws  ConfigError naming the choices
+template <NamedEnum E>
+E enum_from(const std::string& name, const std::string& where) {
+  const auto& names = EnumNames<E>::names;
+  for (std::size_t i = 0; i < names.size(); ++i)
+    if (name == names[i]) return static_cast<E>(i);
+  detail::refuse_choice(name, detail::choices_of<E>(), where);
 }
 
 /// Checks that the values of a struct filled in by code lie in their ranges.

@@ -108,6 +108,7 @@ json element_json(const E& value, const std::string& name) {
 /// The value of one field, whatever its form.
 struct ToJson {
   const std::string& name;
+  const std::vector<std::string>& choices;
 
   template <class E>
   json list(const E& values) const {
@@ -122,6 +123,11 @@ struct ToJson {
   template <class E>
   json operator()(std::vector<E>* values) const {
     return list(*values);
+  }
+  json operator()(const EnumTarget& target) const {
+    json out = json::array();
+    for (const std::size_t number : target.get(target.values)) out.push_back(choices[number]);
+    return target.list ? out : out.front();
   }
   json operator()(std::vector<bool>* values) const { return *values; }  // its elements are proxies
   template <class E>
@@ -172,7 +178,7 @@ json detail::refs_to_json(const std::vector<FieldRef>& fields) {
     std::size_t begin = 0;
     for (std::size_t dot; (dot = f.name.find('.', begin)) != std::string::npos; begin = dot + 1)
       at = &(*at)[f.name.substr(begin, dot - begin)];
-    (*at)[f.name.substr(begin)] = std::visit(ToJson{f.name}, f.target);
+    (*at)[f.name.substr(begin)] = std::visit(ToJson{f.name, f.meta.choices}, f.target);
   }
   return root;
 }

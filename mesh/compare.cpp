@@ -157,7 +157,7 @@ Samples sample_surface(const Mesh& mesh, const CompareOptions& options) {
   }
   if (!(area > 0) || !std::isfinite(area))
     throw Error("sample_surface: " + std::to_string(mesh.faces.size()) +
-                " faces without area, wanted a surface");
+                " faces without area, expected a surface");
   const double wanted = std::ceil(area * options.density);
   const auto n = static_cast<std::size_t>(
       std::clamp(wanted, 1.0, static_cast<double>(std::max<Index>(1, options.most))));

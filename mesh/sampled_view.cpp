@@ -33,12 +33,12 @@ double dot(const Vector& a, const Vector& b) { return a[0] * b[0] + a[1] * b[1] 
 void check_fusion(const FusionOptions& options) {
   char text[120];
   if (!(options.voxel > 0) || !std::isfinite(options.voxel)) {
-    std::snprintf(text, sizeof text, "fuse: voxel %g, wanted a positive number of metres",
+    std::snprintf(text, sizeof text, "fuse: voxel %g, expected a positive number of metres",
                   options.voxel);
     throw ConfigError(text);
   }
   if (!(options.truncation >= 2 && options.truncation <= 8)) {
-    std::snprintf(text, sizeof text, "fuse: truncation %g, wanted 2 to 8 voxels",
+    std::snprintf(text, sizeof text, "fuse: truncation %g, expected 2 to 8 voxels",
                   options.truncation);
     throw ConfigError(text);
   }

@@ -228,7 +228,7 @@ Mesh extract_surface(const Tsdf& field, double least_area) {
   Mesh mesh = zero_level(field, least_area);
   if (mesh.faces.empty())
     throw Error("extract_surface: no surface in " + std::to_string(field.values.count()) +
-                " voxels, wanted one; views that see the same ground give one");
+                " voxels, expected one; views that see the same ground give one");
   find_normals(mesh);
   return mesh;
 }

@@ -111,7 +111,7 @@ void check_voxels(double voxels) {
   char number[32];
   std::snprintf(number, sizeof number, "%.3g", voxels);
   throw Error("fuse: " + std::string(number) + " voxels need about " + memory_text(need) +
-              " of memory, wanted " + memory_text(available) + " at most; give larger voxels");
+              " of memory, expected " + memory_text(available) + " at most; give larger voxels");
 }
 
 /// Places the tiles over all that the views see.
@@ -130,7 +130,7 @@ void place_tiles(Tsdf& field, const std::vector<SampledView>& views) {
     }
   }
   if (!(low[0] <= high[0]))
-    throw Error("fuse: no view has a height anywhere, wanted views of a surface");
+    throw Error("fuse: no view has a height anywhere, expected views of a surface");
   // The least there will be: so many layers under every piece of ground of the widest view.
   const double layers = field.truncation + kAbove + kBelow;
   double area = 0;

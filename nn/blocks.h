@@ -2,7 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/module.h"
-#include "satsurf/ops/conv.h"
+#include "satsurf/ops/conv/conv.h"
 #include "satsurf/ops/norm.h"
 
 #include <string>

@@ -40,7 +40,7 @@ BasicVar<T> CostNet<T>::operator()(BasicVar<T> volume, const BasicVar<T>& featur
   for (const Level& l : levels_) {
     Normalised<T> down = polled(l.down(skips.back()));
     if (context_ && skips.size() == 1)
-      down = add_map(std::move(down), evaluate((*context_)(features)));
+      down = add_map(std::move(down), materialise((*context_)(features)));
     skips.push_back(polled(l.same(down)));
   }
   Normalised<T> x = std::move(skips.back());

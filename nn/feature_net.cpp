@@ -26,7 +26,7 @@ template <class T>
 std::array<BasicVar<T>, 3> FeatureNet<T>::operator()(const BasicVar<T>& images) const {
   const Normalised<T> full = full2_(full1_(images));
   const Normalised<T> half = half3_(half2_(half1_(full)));
-  const BasicVar<T> quarter = evaluate(quarter3_(quarter2_(quarter1_(half))));
+  const BasicVar<T> quarter = materialise(quarter3_(quarter2_(quarter1_(half))));
   const BasicVar<T> top_half =
       resize_nearest(quarter, half.dim(2), half.dim(3)) + lateral_half_(half);
   const BasicVar<T> top_full =

@@ -9,7 +9,7 @@
 
 namespace satsurf::nn {
 
-double mean_parallax(const SceneInput& scene) {
+double mean_parallax(const NetworkInput& scene) {
   const std::size_t N = scene.sources.size();
   const double x = (static_cast<double>(scene.sources[0].rgb.dim(2)) - 1) / 2,
                y = (static_cast<double>(scene.sources[0].rgb.dim(1)) - 1) / 2;
@@ -23,7 +23,7 @@ double mean_parallax(const SceneInput& scene) {
   return sum / static_cast<double>(N * (N - 1));
 }
 
-std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const SceneInput& scene) {
+std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const NetworkInput& scene) {
   constexpr double kNoParallax = 1e-6;  // px per m; views from one direction carry no height
   const double last = std::clamp(config.interval_px / std::max(mean_parallax(scene), kNoParallax),
                                  config.interval_min, config.interval_max);

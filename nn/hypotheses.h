@@ -2,7 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/config.h"
-#include "satsurf/nn/scene.h"
+#include "satsurf/nn/input.h"
 
 #include <array>
 
@@ -10,14 +10,14 @@ namespace satsurf::nn {
 
 /// Mean parallax over all ordered pairs of source views, at the window's centre.
 /// returns  image pixels per metre of height
-double mean_parallax(const SceneInput& scene);
+double mean_parallax(const NetworkInput& scene);
 
 /// Distance between the hypotheses of each stage. The last stage's is `interval_px` of disparity,
 /// clipped to [interval_min, interval_max]; the second's is twice that; the first divides the
 /// scene's range evenly.
 /// returns  m, coarse to fine
 /// Source: after Gu et al. 2020 (CasMVSNet), with intervals by parallax instead of fixed ones.
-std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const SceneInput& scene);
+std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const NetworkInput& scene);
 
 /// Stage 1: heights from low to high, both included, the same for every pixel.
 /// low, high      m

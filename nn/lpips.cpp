@@ -73,27 +73,27 @@ class Reader {
   Reader(const TensorFile& file, std::string where) : file_(file), where_(std::move(where)) {}
 
   bool has(const std::string& key) const { return file_.tensors.contains(key); }
-  /// wanted  extents; 0 for any, which the error calls N
-  const Tensor& get(const std::string& key, std::initializer_list<Index> wanted) const {
+  /// expected  extents; 0 for any, which the error calls N
+  const Tensor& get(const std::string& key, std::initializer_list<Index> expected) const {
     const auto it = file_.tensors.find(key);
     if (it == file_.tensors.end())
-      throw IoError(where_ + ": no " + key + " (F32), wanted the state_dict of LPIPS v0.1");
+      throw IoError(where_ + ": no " + key + " (F32), expected the state_dict of LPIPS v0.1");
     const Tensor& t = it->second;
-    bool fits = t.rank() == static_cast<Index>(wanted.size()) && t.count() > 0;
+    bool fits = t.rank() == static_cast<Index>(expected.size()) && t.count() > 0;
     std::string text;
     Index axis = 0;
-    for (const Index extent : wanted) {
+    for (const Index extent : expected) {
       text += (axis == 0 ? "" : ",") + (extent == 0 ? "N" : std::to_string(extent));
       fits = fits && (extent == 0 || t.dim(axis) == extent);
       ++axis;
     }
     if (!fits)
-      throw IoError(where_ + ": " + key + " has shape " + t.shape().str() + ", wanted [" + text +
+      throw IoError(where_ + ": " + key + " has shape " + t.shape().str() + ", expected [" + text +
                     "]");
     for (const float v : t.values())
       if (!std::isfinite(v))
         throw IoError(where_ + ": " + key + " holds " + std::to_string(v) +
-                      ", wanted finite numbers");
+                      ", expected finite numbers");
     return t;
   }
 
@@ -103,7 +103,7 @@ class Reader {
     if (has("net.slice2.3.squeeze.weight")) return LpipsBackbone::squeeze;
     if (has("net.slice1.2.weight")) return LpipsBackbone::vgg;
     throw IoError(where_ +
-                  ": keys of no known backbone, wanted the state_dict of LPIPS v0.1 with alex, "
+                  ": keys of no known backbone, expected the state_dict of LPIPS v0.1 with alex, "
                   "squeeze or vgg");
   }
 
@@ -255,15 +255,15 @@ BasicVar<T> BasicLpips<T>::operator()(const BasicVar<T>& image, const BasicTenso
                      ", expected H and W of at least " + std::to_string(smallest_side_) +
                      " for the backbone " + lpips_backbone_name(backbone_));
   const Shape whole = as_batch(image.shape());
-  std::vector<BasicVar<T>> wanted;
+  std::vector<BasicVar<T>> expected;
   {
     const NoGrad no_grad;
-    wanted = features(prepared(BasicVar<T>(reference.reshaped(whole)), mask));
+    expected = features(prepared(BasicVar<T>(reference.reshaped(whole)), mask));
   }
   const std::vector<BasicVar<T>> found = features(prepared(reshape(image, whole), mask));
   BasicVar<T> total;
   for (std::size_t s = 0; s < slices_.size(); ++s) {
-    auto d = feature_distance(found[s], wanted[s].value(), slices_[s].weight);
+    auto d = feature_distance(found[s], expected[s].value(), slices_[s].weight);
     total = total.empty() ? std::move(d) : add(std::move(total), std::move(d));
   }
   return total;

@@ -3,7 +3,7 @@
 
 #include "satsurf/core/safetensors.h"
 #include "satsurf/core/var.h"
-#include "satsurf/ops/conv.h"
+#include "satsurf/ops/conv/conv.h"
 #include "satsurf/ops/pool.h"
 
 #include <array>

@@ -13,6 +13,8 @@
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/ops/softmax.h"
+#include "satsurf/splat/select.h"
+#include "satsurf/splat/view.h"
 
 #include <algorithm>
 #include <cmath>
@@ -24,7 +26,7 @@ namespace {
 
 /// One tensor [N ...] of a plane stack of every view.
 template <class T>
-BasicTensor<T> stacked(const std::vector<View>& views, const Tensor View::*member) {
+BasicTensor<T> stacked(const std::vector<PosedImage>& views, const Tensor PosedImage::*member) {
   const Shape& one = (views[0].*member).shape();
   std::vector<Index> extents{static_cast<Index>(views.size())};
   extents.insert(extents.end(), one.extents().begin(), one.extents().end());
@@ -35,13 +37,13 @@ BasicTensor<T> stacked(const std::vector<View>& views, const Tensor View::*membe
   return out;
 }
 
-void check(const ModelConfig& config, const SceneInput& scene) {
+void check(const ModelConfig& config, const NetworkInput& scene) {
   const std::size_t N = scene.sources.size();
   if (N < 2)
     throw ShapeError("model: " + std::to_string(N) + " source views, expected two or more");
   const Shape& first = scene.sources[0].rgb.shape();
   const Index multiple = size_multiple(config);
-  for (const View& v : scene.sources) {
+  for (const PosedImage& v : scene.sources) {
     if (v.rgb.shape() != first || first.rank() != 3 || first[0] != 3)
       throw ShapeError("model: a view has shape " + v.rgb.shape().str() +
                        ", expected [3 H W], the same for all");
@@ -164,7 +166,7 @@ const ParameterSet<T>& BasicModel<T>::parameters() const {
 template <class T>
 class BasicModel<T>::Parts::Pass {
  public:
-  Pass(const Parts& net, const SceneInput& scene, const std::function<void()>& poll,
+  Pass(const Parts& net, const NetworkInput& scene, const std::function<void()>& poll,
        std::vector<PartMemory>* memory)
       : net_(net),
         config_(net.config),
@@ -214,7 +216,7 @@ class BasicModel<T>::Parts::Pass {
   /// of the memory.
   void extract() {
     std::array<std::vector<BasicVar<T>>, 3> levels, mono;  // mono: heights, taps of stages 2 and 3
-    for (const View& v : scene_.sources) {
+    for (const PosedImage& v : scene_.sources) {
       polled();
       const BasicVar<T> image(standardised<T>(v));
       const auto features = net_.features(image);
@@ -232,8 +234,8 @@ class BasicModel<T>::Parts::Pass {
       pyramid_[s] = concat(std::exchange(levels[s], {}), 0);
       if (!mono[s].empty()) taps_[s] = concat(std::exchange(mono[s], {}), 0);
     }
-    images_ = BasicVar<T>(stacked<T>(scene_.sources, &View::rgb));
-    valid_ = BasicVar<T>(stacked<T>(scene_.sources, &View::valid));
+    images_ = BasicVar<T>(stacked<T>(scene_.sources, &PosedImage::rgb));
+    valid_ = BasicVar<T>(stacked<T>(scene_.sources, &PosedImage::valid));
   }
 
   /// Joins the stage's features with those of the monocular branch, where the configuration does.
@@ -338,9 +340,9 @@ class BasicModel<T>::Parts::Pass {
     const StageOutput<T>&stage = out_[s], &previous = out_[s - 1];
     const bool photometric = config_.guidance == "photometric";
     std::vector<BasicVar<T>> maps, alphas;
-    for (const View& view : scene_.sources) {
-      const auto render = render_view(previous.surfels, view.pixel_from_local, view.rgb.dim(1),
-                                      view.rgb.dim(2), previous.stride);
+    for (const PosedImage& view : scene_.sources) {
+      const auto render = splat::render_view(previous.surfels, view.pixel_from_local,
+                                             view.rgb.dim(1), view.rgb.dim(2), previous.stride);
       const Index h = render.alpha.dim(0), w = render.alpha.dim(1);
       maps.push_back(photometric ? reshape(render.colour, Shape{1, 3, h, w})
                                  : reshape(render.height, Shape{1, h, w}));
@@ -378,25 +380,18 @@ class BasicModel<T>::Parts::Pass {
     }
     const double z_mid = 0.5 * (scene_.z_low + scene_.z_high);
     std::vector<PixelGeometry> geometry;
-    for (const View& v : scene_.sources) geometry.push_back(pixel_geometry(v, z_mid, stage.stride));
+    for (const PosedImage& v : scene_.sources)
+      geometry.push_back(pixel_geometry(v, z_mid, stage.stride));
     const BasicVar<T> all = concat(std::exchange(raw, {}), 0);
     stage.surfels = surfels_from_maps(all, stage.height, image.value(), BasicVar<T>(sure.value()),
                                       geometry, rotation_of(config_));
-    if (s > 0 && config_.keep == "all") stage.surfels = joined(stage.surfels, out_[s - 1].surfels);
-  }
-
-  static splat::BasicSurfels<T> joined(const splat::BasicSurfels<T>& a,
-                                       const splat::BasicSurfels<T>& b) {
-    const auto both = [](const BasicVar<T>& x, const BasicVar<T>& y) {
-      return concat<T>({x, y}, 0);
-    };
-    return {both(a.means, b.means),     both(a.quats, b.quats),     both(a.scales, b.scales),
-            both(a.opacity, b.opacity), both(a.colours, b.colours), both(a.aux, b.aux)};
+    if (s > 0 && config_.keep == "all")
+      stage.surfels = splat::joined<T>({stage.surfels, out_[s - 1].surfels});
   }
 
   const Parts& net_;
   const ModelConfig& config_;
-  const SceneInput& scene_;
+  const NetworkInput& scene_;
   const std::function<void()>& poll_;
   MemoryMeter meter_;
   const Index views_;
@@ -408,30 +403,16 @@ class BasicModel<T>::Parts::Pass {
 };
 
 template <class T>
-std::array<StageOutput<T>, 3> BasicModel<T>::forward(const SceneInput& scene,
+std::array<StageOutput<T>, 3> BasicModel<T>::forward(const NetworkInput& scene,
                                                      const std::function<void()>& poll,
                                                      std::vector<PartMemory>* memory) const {
   check(parts_->config, scene);
   return typename Parts::Pass(*parts_, scene, poll, memory).run();
 }
 
-template <class T>
-splat::BasicRender<T> render_view(const splat::BasicSurfels<T>& surfels,
-                                  const Quadratic& pixel_from_local, Index height, Index width,
-                                  Index stride) {
-  const auto projection = splat::project(
-      surfels.means.value(), rescale_pixels(pixel_from_local, 1, static_cast<double>(stride)));
-  return splat::rasterize(surfels, projection,
-                          {.height = height / stride, .width = width / stride});
-}
-
 template BasicTensor<float> effective_confidence(const ModelConfig&, const StageOutput<float>&);
 template BasicTensor<double> effective_confidence(const ModelConfig&, const StageOutput<double>&);
 template class BasicModel<float>;
 template class BasicModel<double>;
-template splat::BasicRender<float> render_view(const splat::BasicSurfels<float>&, const Quadratic&,
-                                               Index, Index, Index);
-template splat::BasicRender<double> render_view(const splat::BasicSurfels<double>&,
-                                                const Quadratic&, Index, Index, Index);
 
 }  // namespace satsurf::nn

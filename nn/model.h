@@ -3,8 +3,8 @@
 
 #include "satsurf/nn/config.h"
 #include "satsurf/nn/forward_memory.h"
+#include "satsurf/nn/input.h"
 #include "satsurf/nn/module.h"
-#include "satsurf/nn/scene.h"
 #include "satsurf/splat/rasterize.h"
 
 #include <array>
@@ -70,7 +70,7 @@ class BasicModel {
   /// poll    called between layers, may throw to stop
   /// memory  takes what each part needed
   /// throws  ShapeError if views differ in size or are no multiple of `size_multiple`
-  std::array<StageOutput<T>, 3> forward(const SceneInput& scene,
+  std::array<StageOutput<T>, 3> forward(const NetworkInput& scene,
                                         const std::function<void()>& poll = {},
                                         std::vector<PartMemory>* memory = nullptr) const;
 
@@ -79,16 +79,5 @@ class BasicModel {
   std::unique_ptr<Parts> parts_;
 };
 using Model = BasicModel<float>;
-
-/// Renders surfels into a view at one of the stage strides.
-/// surfels           in the local frame
-/// pixel_from_local  the view's projection, in image pixels
-/// height, width     of the view, image pixels
-/// stride            image pixels per rendered pixel: 4, 2 or 1
-/// returns           maps of height / stride x width / stride
-template <class T>
-splat::BasicRender<T> render_view(const splat::BasicSurfels<T>& surfels,
-                                  const Quadratic& pixel_from_local, Index height, Index width,
-                                  Index stride);
 
 }  // namespace satsurf::nn

@@ -73,8 +73,8 @@ MonoOutput<T> MonoNet<T>::operator()(const BasicVar<T>& image) const {
     skips.pop_back();
     x = raise(up, x, skips.back());
     // both readers of a tap then share one evaluation
-    if (skips.size() == 2) x = out.tap_half = evaluate(x);
-    if (skips.size() == 1) x = out.tap_full = evaluate(x);
+    if (skips.size() == 2) x = out.tap_half = materialise(x);
+    if (skips.size() == 1) x = out.tap_full = materialise(x);
   }
   out.height = reshape(height_(x), Shape{N, H, W});
   return out;

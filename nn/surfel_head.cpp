@@ -64,7 +64,7 @@ std::array<double, 4> surface_quat(const PixelGeometry& g, const T* height, Inde
 
 }  // namespace
 
-PixelGeometry pixel_geometry(const View& view, double z, Index stride) {
+PixelGeometry pixel_geometry(const PosedImage& view, double z, Index stride) {
   const double s = static_cast<double>(stride);
   const auto centre = view.local_from_pixel((static_cast<double>(view.rgb.dim(2)) - 1) / 2,
                                             (static_cast<double>(view.rgb.dim(1)) - 1) / 2, z);

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/blocks.h"
-#include "satsurf/nn/scene.h"
+#include "satsurf/nn/input.h"
 #include "satsurf/splat/rasterize.h"
 
 #include <array>
@@ -22,7 +22,7 @@ struct PixelGeometry {
 /// z       local height at which the camera is looked at, m
 /// stride  image pixels per stage pixel
 /// throws  Error for a mirrored image
-PixelGeometry pixel_geometry(const View& view, double z, Index stride);
+PixelGeometry pixel_geometry(const PosedImage& view, double z, Index stride);
 
 /// 2D network from image, features and height distribution to raw surfel attributes:
 ///   3x3 -> width, GroupNorm, GELU; two residual 3x3; 1x1 -> 10

@@ -17,7 +17,7 @@ constexpr Index kPixels = 128;  // per piece: what is kept per pixel stays in th
 /// What one piece keeps of its pixels.
 template <class T>
 struct Pixels {
-  T norm[kPixels], share[kPixels], wanted[kPixels], sum[kPixels];
+  T norm[kPixels], share[kPixels], expected[kPixels], sum[kPixels];
 };
 
 /// Lengths of the vectors of n pixels, whose channels are `stride` apart, and what they are
@@ -54,11 +54,11 @@ BasicVar<T> feature_distance(const BasicVar<T>& features, const BasicTensor<T>& 
     const T* f = features.value().data() + piece / pieces * C * P + first;
     const T* r = reference.data() + piece / pieces * C * P + first;
     norms(f, C, P, n, at.norm, at.share);
-    norms(r, C, P, n, at.norm, at.wanted);
+    norms(r, C, P, n, at.norm, at.expected);
     std::fill_n(at.sum, n, T(0));
     for (Index c = 0; c < C; ++c)
       for (Index i = 0; i < n; ++i) {
-        const T d = f[c * P + i] * at.share[i] - r[c * P + i] * at.wanted[i];
+        const T d = f[c * P + i] * at.share[i] - r[c * P + i] * at.expected[i];
         at.sum[i] += w[c] * (d * d);
       }
     double sum = 0;
@@ -77,10 +77,10 @@ BasicVar<T> feature_distance(const BasicVar<T>& features, const BasicTensor<T>& 
       const Index first = piece % pieces * kPixels, n = std::min(kPixels, P - first);
       const Index begin = piece / pieces * C * P + first;
       const T *f = node.in(0) + begin, *r = reference.data() + begin;
-      norms(r, C, P, n, at.norm, at.wanted);
+      norms(r, C, P, n, at.norm, at.expected);
       norms(f, C, P, n, at.norm, at.share);
       const auto slope = [&](Index c, Index i) {  // by the normalised feature
-        return factor * scale[c] * (f[c * P + i] * at.share[i] - r[c * P + i] * at.wanted[i]);
+        return factor * scale[c] * (f[c * P + i] * at.share[i] - r[c * P + i] * at.expected[i]);
       };
       std::fill_n(at.sum, n, T(0));
       for (Index c = 0; c < C; ++c)

@@ -92,7 +92,7 @@ BasicVar<T> group_norm(BasicVar<T> x, const BasicVar<T>& gamma, const BasicVar<T
                        Index groups, Activation activation, T epsilon) {
   auto value = group_normalised(x, gamma, beta, groups, activation, epsilon);
   x = {};  // so that the value holds the last copy
-  return evaluate(std::move(value));
+  return materialise(std::move(value));
 }
 
 template Normalised<float> group_normalised(const BasicVar<float>&, const BasicVar<float>&,

@@ -91,7 +91,7 @@ void detail::add_affine(const BasicTensor<T>& x, const BasicTensor<T>& affine, T
 }
 
 template <class T>
-BasicVar<T> evaluate(Normalised<T> value) {
+BasicVar<T> materialise(Normalised<T> value) {
   detail::check_normalised("evaluate", value);
   if (value.affine.empty() && value.activation == Activation::none) return std::move(value.x);
   const Rows rows(value.shape());
@@ -197,8 +197,8 @@ template void detail::normalised_backward(Node<float>&, std::size_t, Activation,
 template void detail::normalised_backward(Node<double>&, std::size_t, Activation, const double*);
 template void detail::add_affine(const Tensor&, const Tensor&, float*);
 template void detail::add_affine(const BasicTensor<double>&, const BasicTensor<double>&, double*);
-template BasicVar<float> evaluate(Normalised<float>);
-template BasicVar<double> evaluate(Normalised<double>);
+template BasicVar<float> materialise(Normalised<float>);
+template BasicVar<double> materialise(Normalised<double>);
 template BasicVar<float> add(Normalised<float>, Normalised<float>);
 template BasicVar<double> add(Normalised<double>, Normalised<double>);
 template BasicVar<float> add_map(Normalised<float>, const BasicVar<float>&);

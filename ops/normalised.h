@@ -15,7 +15,7 @@ enum class Activation { none, relu, gelu };
 /// A value that exists as what it is made from, until somebody reads it:
 ///   value[b,c,..] = act(scale[b,c] (x[b,c,..] - centre[b,c]) + shift[b,c])
 /// Convolutions take it as their input and compute it while they read; so neither a pass over
-/// memory nor a tensor is spent on it. `evaluate` makes a tensor of it.
+/// memory nor a tensor is spent on it. `materialise` makes a tensor of it.
 template <class T>
 struct Normalised {
   BasicVar<T> x;       ///< [B C ...], rank 3 to 5
@@ -37,13 +37,13 @@ struct Normalised {
 /// throws   ShapeError
 /// memory   backward keeps x; without a tape a temporary's buffer takes the result
 template <class T>
-BasicVar<T> evaluate(Normalised<T> value);
+BasicVar<T> materialise(Normalised<T> value);
 
 /// The sum of two values in one pass.
 /// a, b     equal shapes
 /// returns  their shape
 /// throws   ShapeError
-/// memory   as `evaluate`
+/// memory   as `materialise`
 template <class T>
 BasicVar<T> add(Normalised<T> a, Normalised<T> b);
 
@@ -52,7 +52,7 @@ BasicVar<T> add(Normalised<T> a, Normalised<T> b);
 /// map      [B C H W]
 /// returns  volume's shape
 /// throws   ShapeError
-/// memory   as `evaluate`
+/// memory   as `materialise`
 template <class T>
 BasicVar<T> add_map(Normalised<T> volume, const BasicVar<T>& map);
 

@@ -133,7 +133,7 @@ BasicVar<T> ssim(const BasicVar<T>& x, const BasicTensor<T>& reference, SsimKind
   if (recorded)
     for (auto& s : slopes) s = BasicTensor<T>::uninitialised({at.planes, at.map_H, at.map_W});
 
-  const BasicTensor<T> seen = at.masked(x.value()), wanted = at.masked(reference);
+  const BasicTensor<T> seen = at.masked(x.value()), expected = at.masked(reference);
   const Sums sums =
       ordered_reduce(at.planes * at.map_H, kRows, Sums{}, [&](Index begin, Index end) {
         Sums of_piece;
@@ -143,7 +143,7 @@ BasicVar<T> ssim(const BasicVar<T>& x, const BasicTensor<T>& reference, SsimKind
         for (Index r = begin; r < end; ++r) {
           const Index p = r / at.map_H, i = r % at.map_H + at.top, plane = p * at.H * at.W;
           const auto xs = window_rows(seen.data() + plane, at.H, at.W, i, at.zeros.data());
-          const auto ys = window_rows(wanted.data() + plane, at.H, at.W, i, at.zeros.data());
+          const auto ys = window_rows(expected.data() + plane, at.H, at.W, i, at.zeros.data());
           kernels.moments(terms, xs.data(), ys.data(), at.W, filtered.data());
           std::array<T*, 3> to{};
           if (recorded)

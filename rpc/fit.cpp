@@ -94,12 +94,12 @@ Quadratic fit_over(const char* where, const Window& window, const HeightRange& r
   std::ostringstream text;
   if (!(window.width > 0 && window.height > 0)) {
     text << where << ": window of " << window.width << " x " << window.height
-         << " px, wanted a positive size";
+         << " px, expected a positive size";
     throw Error(text.str());
   }
   if (!(range.low <= range.high)) {
     text << where << ": height range " << range.low << " to " << range.high
-         << " m, wanted low <= high";
+         << " m, expected low <= high";
     throw Error(text.str());
   }
   return fit(samples_of(window, range, false, sample), samples_of(window, range, true, sample));
@@ -170,7 +170,7 @@ ViewGeometry view_geometry(const std::array<std::array<double, 3>, 2>& jacobian)
   if (!(r3[2] < 0)) {
     std::ostringstream text;
     text << "view_geometry: the viewing direction has an upward component " << r3[2]
-         << ", wanted a negative one; the image is mirrored or degenerate";
+         << ", expected a negative one; the image is mirrored or degenerate";
     throw Error(text.str());
   }
   // det K2 = |a1| |across|

@@ -63,15 +63,15 @@ using DatasetPtr = std::unique_ptr<GDALDataset, DatasetCloser>;
 inline DatasetPtr open_raster(const std::filesystem::path& path) {
   const std::string name = path.string();
   if (!name.starts_with("/vsi") && !std::filesystem::exists(path))
-    throw IoError(name + ": no such file, wanted a raster");
+    throw IoError(name + ": no such file, expected a raster");
   const unsigned flags = GDAL_OF_RASTER | GDAL_OF_READONLY | GDAL_OF_VERBOSE_ERROR;
   DatasetPtr d(GDALDataset::FromHandle(GDALOpenEx(name.c_str(), flags, nullptr, nullptr, nullptr)));
   if (!d)
-    throw IoError(name + ": not a raster that can be read, wanted GeoTIFF, NITF or alike; " +
+    throw IoError(name + ": not a raster that can be read, expected GeoTIFF, NITF or alike; " +
                   gdal_error());
   if (d->GetRasterCount() == 0)
     throw IoError(name +
-                  ": holds no bands of its own, wanted an image; name one of its subdatasets");
+                  ": holds no bands of its own, expected an image; name one of its subdatasets");
   return d;
 }
 

@@ -106,7 +106,7 @@ Geodetic Rpc::localize(const Pixel& pixel, double h) const {
     std::ostringstream text;
     text << "Rpc::localize: residual " << residual << " px after " << kSteps
          << " Newton steps for pixel (" << pixel.x << ", " << pixel.y << ") at height " << h
-         << " m, wanted at most " << kTolerance
+         << " m, expected at most " << kTolerance
          << " px; the pixel or the height may lie outside the camera's range";
     throw Error(text.str());
   }

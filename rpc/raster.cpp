@@ -82,7 +82,7 @@ Extents extents_of(const char* where, const Tensor& values, bool planes_only) {
   const bool planes = s.rank() == 3;
   if (values.empty() || !(planes || (s.rank() == 2 && !planes_only)) || s.count() == 0)
     throw ShapeError(std::string(where) + ": values " + (values.empty() ? "[]" : s.str()) +
-                     ", wanted " + (planes_only ? "[C H W]" : "[H W] or [C H W]"));
+                     ", expected " + (planes_only ? "[C H W]" : "[H W] or [C H W]"));
   return planes ? Extents{s[0], s[1], s[2]} : Extents{1, s[0], s[1]};
 }
 
@@ -90,7 +90,7 @@ OGRSpatialReference system_of(int epsg) {
   OGRSpatialReference crs;
   if (crs.importFromEPSG(epsg) != OGRERR_NONE)
     throw Error("EPSG:" + std::to_string(epsg) +
-                ": not a known reference system, wanted a projected one");
+                ": not a known reference system, expected a projected one");
   crs.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
   return crs;
 }
@@ -116,17 +116,17 @@ GeoGrid read_dfc_grid(const fs::path& path, const fs::path& text_path, Index wid
                       const std::optional<UtmZone>& zone) {
   std::ifstream text(text_path);
   if (!text)
-    throw IoError(path.string() + ": no georeference, wanted one in the file or in " +
+    throw IoError(path.string() + ": no georeference, expected one in the file or in " +
                   text_path.string());
   std::vector<double> numbers;
   for (std::string word; text >> word;)
     if (const auto v = parse_number(word))
       numbers.push_back(*v);
     else
-      throw IoError(text_path.string() + ": '" + word + "', wanted a number");
+      throw IoError(text_path.string() + ": '" + word + "', expected a number");
   if (numbers.size() != 4)
     throw IoError(text_path.string() + ": " + std::to_string(numbers.size()) +
-                  " numbers, wanted 4: easting and northing of the lower-left corner, cells per "
+                  " numbers, expected 4: easting and northing of the lower-left corner, cells per "
                   "side, metres per cell");
   const double cells = numbers[2], step = numbers[3];
   if (!(step > 0) || cells != static_cast<double>(width) || cells != static_cast<double>(height)) {
@@ -147,15 +147,16 @@ GeoGrid grid_of(const fs::path& path, GDALDataset& d, const std::optional<UtmZon
   if (t[2] != 0 || t[4] != 0 || !(step > 0) || !(std::abs(t[5] + step) <= 1e-6 * step)) {
     std::ostringstream text;
     text << path.string() << ": cells of (" << t[1] << ", " << t[2] << "; " << t[4] << ", " << t[5]
-         << "), wanted square ones with north up; warp it first (gdalwarp)";
+         << "), expected square ones with north up; warp it first (gdalwarp)";
     throw IoError(text.str());
   }
   int epsg = zone ? zone->epsg() : 0;
   if (const OGRSpatialReference* crs = d.GetSpatialRef()) {
     if (crs->IsGeographic())
-      throw IoError(path.string() +
-                    ": coordinates in degrees, wanted a projected system in metres; warp it first "
-                    "(gdalwarp)");
+      throw IoError(
+          path.string() +
+          ": coordinates in degrees, expected a projected system in metres; warp it first "
+          "(gdalwarp)");
     epsg = epsg_of(*crs);
   }
   return {epsg, t[0], t[3], step};
@@ -171,10 +172,10 @@ void write_geo_raster(const fs::path& path, const Tensor& values, const GeoGrid&
                       const GeoTags& tags) {
   const auto [C, H, W] = extents_of("write_geo_raster", values, false);
   if (!(grid.step > 0))
-    throw Error("write_geo_raster: cells of " + digits(grid.step) + " m, wanted a positive size");
+    throw Error("write_geo_raster: cells of " + digits(grid.step) + " m, expected a positive size");
   if (!tags.band_names.empty() && static_cast<Index>(tags.band_names.size()) != C)
     throw Error("write_geo_raster: " + std::to_string(tags.band_names.size()) +
-                " band names, wanted " + std::to_string(C));
+                " band names, expected " + std::to_string(C));
   const GdalScope scope;
   const auto w = static_cast<int>(W), h = static_cast<int>(H);
   MemoryTiff tiff(
@@ -221,7 +222,7 @@ GeoRaster read_geo_raster(const fs::path& path, const std::optional<UtmZone>& zo
     float* to = out.values.data() + (b - 1) * H * W;
     CPLErrorReset();
     if (band->RasterIO(GF_Read, 0, 0, w, h, to, w, h, GDT_Float32, 0, 0, nullptr) != CE_None)
-      throw IoError(path.string() + ": the values cannot be read, wanted a whole file; " +
+      throw IoError(path.string() + ": the values cannot be read, expected a whole file; " +
                     gdal_error());
     int has_nodata = 0;
     const auto nodata = static_cast<float>(band->GetNoDataValue(&has_nodata));

@@ -34,7 +34,7 @@ std::vector<std::uint8_t> file_mask(const fs::path& path, GDALDataset& d,
                        static_cast<int>(w.width), static_cast<int>(w.height), band.data(),
                        static_cast<int>(w.width), static_cast<int>(w.height), GDT_Byte, 0, 0,
                        nullptr) != CE_None)
-      throw IoError(path.string() + ": the mask cannot be read, wanted a whole file; " +
+      throw IoError(path.string() + ": the mask cannot be read, expected a whole file; " +
                     gdal_error());
     for (std::size_t i = 0; i < N; ++i) valid[i] = valid[i] || band[i] != 0;
   }
@@ -51,7 +51,7 @@ void check_memory(const fs::path& path, Index bands, const PixelWindow& w) {
   std::ostringstream text;
   text << path.string() << ": " << w.width << " x " << w.height << " px of " << bands
        << (bands == 1 ? " band take " : " bands take ") << memory_text(needed)
-       << " of memory, wanted " << memory_text(available)
+       << " of memory, expected " << memory_text(available)
        << " at most; cut it into smaller images (gdal_translate -srcwin)";
   throw IoError(text.str());
 }
@@ -139,7 +139,7 @@ Image read_image(const fs::path& path, const std::optional<PixelWindow>& window)
       w.y0 + w.height > info.height) {
     std::ostringstream text;
     text << path.string() << ": window of " << w.width << " x " << w.height << " px at (" << w.x0
-         << ", " << w.y0 << "), wanted one inside " << info.width << " x " << info.height;
+         << ", " << w.y0 << "), expected one inside " << info.width << " x " << info.height;
     throw IoError(text.str());
   }
 
@@ -152,7 +152,7 @@ Image read_image(const fs::path& path, const std::optional<PixelWindow>& window)
                   static_cast<int>(H), image.pixels.data(), static_cast<int>(W),
                   static_cast<int>(H), GDT_Float32, static_cast<int>(C), bands.data(), 0, 0, 0,
                   nullptr) != CE_None)
-    throw IoError(path.string() + ": the pixels cannot be read, wanted a whole file; " +
+    throw IoError(path.string() + ": the pixels cannot be read, expected a whole file; " +
                   gdal_error());
 
   const auto mask = file_mask(path, *d, bands, w);
@@ -168,7 +168,8 @@ Image read_image(const fs::path& path, const std::optional<PixelWindow>& window)
     return valid;
   });
   if (count == 0)
-    throw IoError(path.string() + ": no valid pixel (all nodata, masked or NaN), wanted an image");
+    throw IoError(path.string() +
+                  ": no valid pixel (all nodata, masked or NaN), expected an image");
 
   if (info.rpc) info.rpc = info.rpc->cropped(static_cast<double>(w.x0), static_cast<double>(w.y0));
   if (auto& t = info.geotransform) {

@@ -184,12 +184,14 @@ RasterInfo info_of(const fs::path& path, GDALDataset& d) {
   info.width = d.GetRasterXSize();
   info.height = d.GetRasterYSize();
   const std::vector<int> bands = colour_bands(d);
-  if (bands.empty()) throw IoError(path.string() + ": holds an alpha band alone, wanted an image");
+  if (bands.empty())
+    throw IoError(path.string() + ": holds an alpha band alone, expected an image");
   info.bands = static_cast<Index>(bands.size());
   GDALRasterBand* first = d.GetRasterBand(bands[0]);
   info.dtype = dtype_name(first->GetRasterDataType());
   if (GDALDataTypeIsComplex(first->GetRasterDataType()))
-    throw IoError(path.string() + ": pixels are complex (" + info.dtype + "), wanted real numbers");
+    throw IoError(path.string() + ": pixels are complex (" + info.dtype +
+                  "), expected real numbers");
 
   info.files = files_of(path, d);
   find_camera(info, d);

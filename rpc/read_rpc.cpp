@@ -62,10 +62,10 @@ std::string upper(std::string text) {
 std::string read_text(const std::filesystem::path& path, const char* wanted) {
   std::ifstream file(path, std::ios::binary);
   if (!file || std::filesystem::is_directory(path))
-    throw IoError(path.string() + ": no such file, wanted " + wanted);
+    throw IoError(path.string() + ": no such file, expected " + wanted);
   constexpr std::uintmax_t kLargest = 64u << 20;  // Sat-NeRF files with key points have some 100 kB
   if (std::filesystem::file_size(path) > kLargest)
-    throw IoError(path.string() + ": larger than 64 MiB, wanted " + wanted);
+    throw IoError(path.string() + ": larger than 64 MiB, expected " + wanted);
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
@@ -73,11 +73,11 @@ std::string read_text(const std::filesystem::path& path, const char* wanted) {
 Rpc checked(const Rpc& rpc, const std::string& where) {
   for (const Scalar& s : kScalars)
     if (std::string_view(s.key).ends_with("SCALE") && rpc.*s.member == 0)
-      throw IoError(where + ": " + s.key + " is 0, wanted another number");
+      throw IoError(where + ": " + s.key + " is 0, expected another number");
   for (const Polynomial& p : kPolynomials) {
     const auto& c = rpc.*p.member;
     if (std::all_of(c.begin(), c.end(), [](double v) { return v == 0; }))
-      throw IoError(where + ": all of " + p.key + " are 0, wanted a polynomial");
+      throw IoError(where + ": all of " + p.key + " are 0, expected a polynomial");
   }
   return rpc;
 }
@@ -121,7 +121,7 @@ Items items_of_whu(const std::vector<std::string>& lines, const std::string& whe
     std::string key, word;
     if (!(words >> key >> word))
       throw IoError(where + ": line " + std::to_string(i + 1) + " is '" + lines[i] +
-                    "', wanted 'KEY: value'");
+                    "', expected 'KEY: value'");
     return word;
   };
   Items items;
@@ -194,7 +194,7 @@ Items items_of_xml(const std::string& text, const std::string& where) {
     return items;
   }
   throw IoError(where +
-                ": XML without a camera, wanted an RPB (Maxar) or Global_RFM (DIMAP) element");
+                ": XML without a camera, expected an RPB (Maxar) or Global_RFM (DIMAP) element");
 }
 
 using Json = nlohmann::json;
@@ -219,7 +219,7 @@ double number(const Json& value, const std::string& key, const std::string& wher
   if (value.is_string()) number = parse_number(value.get_ref<const std::string&>());
   if (!number || !std::isfinite(*number))
     throw IoError(where + ": key \"" + key + "\" is " + value.dump().substr(0, 40) +
-                  ", wanted a number");
+                  ", expected a number");
   return *number;
 }
 
@@ -244,7 +244,7 @@ SatNerfJson satnerf_from_json(const Json& j, const std::string& where) {
     const double v = number(member(j, key, where), key, where);
     if (!(v >= 1 && v <= 1e7) || v != std::floor(v))
       throw IoError(where + ": key \"" + key + "\" is " + member(j, key, where).dump() +
-                    ", wanted pixels");
+                    ", expected pixels");
     return static_cast<Index>(v);
   };
   out.width = extent("width");
@@ -274,7 +274,8 @@ Rpc rpc_from_gdal_metadata(const Items& items, const std::string& where) {
   };
   for (const Scalar& s : kScalars) {
     const auto value = parse_number(text(s.key));
-    if (!value) throw IoError(where + ": " + s.key + " is '" + text(s.key) + "', wanted a number");
+    if (!value)
+      throw IoError(where + ": " + s.key + " is '" + text(s.key) + "', expected a number");
     rpc.*s.member = *value;
   }
   for (const Polynomial& p : kPolynomials) {
@@ -282,12 +283,12 @@ Rpc rpc_from_gdal_metadata(const Items& items, const std::string& where) {
     std::size_t count = 0;
     for (std::string word; words >> word; ++count) {
       const auto value = parse_number(word);
-      if (!value) throw IoError(where + ": " + p.key + " holds '" + word + "', wanted a number");
+      if (!value) throw IoError(where + ": " + p.key + " holds '" + word + "', expected a number");
       if (count < 20) (rpc.*p.member)[count] = *value;
     }
     if (count != 20)
       throw IoError(where + ": " + p.key + " holds " + std::to_string(count) +
-                    " numbers, wanted 20");
+                    " numbers, expected 20");
   }
   return checked(rpc, where);
 }
@@ -295,7 +296,7 @@ Rpc rpc_from_gdal_metadata(const Items& items, const std::string& where) {
 Rpc read_rpc_file(const std::filesystem::path& path) {
   const std::string where = path.string(), text = read_text(path, "a camera file");
   const auto first = text.find_first_not_of(" \t\r\n\xEF\xBB\xBF");
-  if (first == std::string::npos) throw IoError(where + ": empty, wanted a camera file");
+  if (first == std::string::npos) throw IoError(where + ": empty, expected a camera file");
   if (text[first] == '{') {
     const Json j = parse_json(text, where);
     return rpc_from_json(j.contains("rpc") ? j.at("rpc") : j, where);
@@ -315,7 +316,7 @@ Rpc read_rpc_file(const std::filesystem::path& path) {
   if (!items.contains("LINE_OFF"))
     throw IoError(
         where +
-        ": no camera in a known form, wanted _RPC.TXT, RPB, Maxar or DIMAP XML, WHU-TLC or "
+        ": no camera in a known form, expected _RPC.TXT, RPB, Maxar or DIMAP XML, WHU-TLC or "
         "Sat-NeRF JSON");
   gather_coefficients(items, where);
   return rpc_from_gdal_metadata(items, where);

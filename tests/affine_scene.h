@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include "satsurf/nn/scene.h"
+#include "satsurf/nn/input.h"
 
 #include <cmath>
 #include <functional>
@@ -36,22 +36,22 @@ struct AffineCamera {
 
 /// Views of a textured surface z(x, y), each pixel coloured by the point it sees (found by
 /// fixed-point iteration, so the surface must be gentle).
-inline nn::SceneInput affine_scene(Index size, const std::vector<std::array<double, 2>>& slopes,
-                                   double z_low, double z_high,
-                                   const std::function<double(double, double)>& surface) {
+inline nn::NetworkInput affine_scene(Index size, const std::vector<std::array<double, 2>>& slopes,
+                                     double z_low, double z_high,
+                                     const std::function<double(double, double)>& surface) {
   const auto texture = [](double x, double y, int c) {
     return 0.5 + 0.2 * std::sin(1.9 * x + 0.7 * y + c) +
            0.15 * std::sin(1.1 * x - 2.3 * y + 2 * c) + 0.1 * std::sin(3.1 * x + 2.9 * y);
   };
-  nn::SceneInput scene;
+  nn::NetworkInput scene;
   scene.z_low = z_low;
   scene.z_high = z_high;
   std::vector<AffineCamera> cameras;
   for (const auto& s : slopes)
     cameras.push_back({0.5, s[0], s[1], (static_cast<double>(size) - 1) / 2});
   for (const AffineCamera& camera : cameras) {
-    nn::View view{Tensor({3, size, size}), Tensor({size, size}, 1.f), camera.local_from_pixel(),
-                  camera.pixel_from_local()};
+    nn::PosedImage view{Tensor({3, size, size}), Tensor({size, size}, 1.f),
+                        camera.local_from_pixel(), camera.pixel_from_local()};
     for (Index i = 0; i < size * size; ++i) {
       double z = 0.5 * (z_low + z_high);
       std::array<double, 2> p{};

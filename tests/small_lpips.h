@@ -7,12 +7,14 @@
 #include <filesystem>
 #include <string>
 
+#include "tests/paths.h"
+
 namespace satsurf::test {
 
 /// A network of few channels with known weights, see golden/make_image_golden.py.
 inline nn::Lpips small_lpips() {
-  const TensorFile golden = load_safetensors(std::filesystem::path(__FILE__).parent_path() /
-                                             "golden" / "image_golden.safetensors");
+  const TensorFile golden =
+      load_safetensors(test::tests_folder() / "golden" / "image_golden.safetensors");
   TensorFile file;
   const std::string prefix = "lpips.alex.";
   for (const auto& [name, tensor] : golden.tensors)

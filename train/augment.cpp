@@ -15,7 +15,7 @@ Radiometry random_radiometry(double amount, double grey_share, Rng& rng) {
   return r;
 }
 
-void apply(const Radiometry& r, nn::View& view) {
+void apply(const Radiometry& r, nn::PosedImage& view) {
   const Index P = view.valid.count();
   for (Index i = 0; i < P; ++i) {
     if (view.valid[i] <= 0) continue;

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "satsurf/core/rng.h"
-#include "satsurf/nn/scene.h"
+#include "satsurf/nn/input.h"
 
 namespace satsurf::train {
 
@@ -15,7 +15,7 @@ struct Radiometry {
 /// grey_share  how often it is grey
 Radiometry random_radiometry(double amount, double grey_share, Rng& rng);
 /// Changes the valid pixels of a view.
-void apply(const Radiometry& radiometry, nn::View& view);
+void apply(const Radiometry& radiometry, nn::PosedImage& view);
 
 /// One of the eight symmetries of the square: bit 0 mirrors columns, bit 1 mirrors rows, bit 2 swaps
 /// the two before.

@@ -8,6 +8,7 @@
 #include "satsurf/ops/reduce.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/ops/ssim.h"
+#include "satsurf/splat/view.h"
 #include "satsurf/train/routing.h"
 
 #include <algorithm>
@@ -57,7 +58,7 @@ double sum_of(const Tensor& t) {
 }
 
 /// 1 where the sources have data for all of a stage's pixel, [N h w].
-Tensor source_pixels(const std::vector<nn::View>& views, Index stride) {
+Tensor source_pixels(const std::vector<nn::PosedImage>& views, Index stride) {
   const Index N = static_cast<Index>(views.size());
   Tensor out;
   for (Index n = 0; n < N; ++n) {
@@ -76,7 +77,7 @@ struct StageLoss {
   const nn::ModelConfig& model;
   const nn::StageOutput<float>& stage;
   std::size_t index;  ///< of the stage
-  const Crop& crop;
+  const scene::Crop& crop;
   const LossContext& context;
 
   RoutingMasks route(const Tensor& confidence, const Tensor& valid) const {
@@ -123,9 +124,9 @@ struct StageLoss {
   /// L_app and the rendered height. Returns the PSNR over opaque pixels and the share of them that
   /// appearance is routed to.
   std::pair<double, double> add_target(Var& total, double weight) const {
-    const nn::View& view = *crop.target;
-    const auto render = nn::render_view(stage.surfels, view.pixel_from_local, view.rgb.dim(1),
-                                        view.rgb.dim(2), stage.stride);
+    const nn::PosedImage& view = *crop.target;
+    const auto render = splat::render_view(stage.surfels, view.pixel_from_local, view.rgb.dim(1),
+                                           view.rgb.dim(2), stage.stride);
     const Index h = render.alpha.dim(0), w = render.alpha.dim(1), P = h * w;
     const Tensor image = area_downsample(Var(view.rgb), stage.stride).value();
     const Tensor seen = area_downsample(Var(view.valid), stage.stride).value();
@@ -205,8 +206,8 @@ LossConfig loss_preset(const std::string& name) {
 }
 
 LossReport training_loss(const LossConfig& config, const nn::ModelConfig& model,
-                         const std::array<nn::StageOutput<float>, 3>& stages, const Crop& crop,
-                         const LossContext& context) {
+                         const std::array<nn::StageOutput<float>, 3>& stages,
+                         const scene::Crop& crop, const LossContext& context) {
   LossReport report{{}, std::nan(""), std::nan(""), std::nan("")};
   for (std::size_t s = 0; s < 3; ++s) {
     const nn::StageOutput<float>& stage = stages[s];

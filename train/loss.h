@@ -4,7 +4,7 @@
 #include "satsurf/core/fields.h"
 #include "satsurf/nn/lpips.h"
 #include "satsurf/nn/model.h"
-#include "satsurf/train/dataset.h"
+#include "satsurf/scene/crop.h"
 
 #include <array>
 #include <cstdint>
@@ -105,7 +105,7 @@ struct LossReport {
 /// crop     with its target and the truth
 /// context  step and random numbers
 LossReport training_loss(const LossConfig& config, const nn::ModelConfig& model,
-                         const std::array<nn::StageOutput<float>, 3>& stages, const Crop& crop,
-                         const LossContext& context = {});
+                         const std::array<nn::StageOutput<float>, 3>& stages,
+                         const scene::Crop& crop, const LossContext& context = {});
 
 }  // namespace satsurf::train

@@ -2,10 +2,11 @@
 #include "satsurf/train/mono_trainer.h"
 
 #include "satsurf/core/dims.h"
+#include "satsurf/core/fields_json.h"
+#include "satsurf/nn/weights_file.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/ssi_loss.h"
 #include "satsurf/train/augment.h"
-#include "satsurf/train/checkpoint.h"
 
 #include <algorithm>
 #include <cmath>
@@ -34,18 +35,19 @@ struct Moments {
 };
 
 /// One window: [1 3 S S], [S S] and [S S].
-MonoSample window(const MonoTrainConfig& config, const std::vector<Scene>& scenes, Rng& rng) {
+MonoSample window(const MonoTrainConfig& config, const std::vector<scene::Scene>& scenes,
+                  Rng& rng) {
   // A window may lie where the truth is unknown or flat; a few tries find a good one, and the loss
   // leaves out what is flat after all.
   constexpr int kTries = 20;
   constexpr double kEnough = 0.6;  // share of pixels with a known height
-  nn::View view;
+  nn::PosedImage view;
   Tensor truth, valid;
   for (int attempt = 0; attempt < kTries; ++attempt) {
-    const Scene& scene =
+    const scene::Scene& scene =
         scenes[static_cast<std::size_t>(rng.below(static_cast<Index>(scenes.size())))];
     const Index number = rng.below(static_cast<Index>(scene.views.size()));
-    const SceneView& from = scene.views[static_cast<std::size_t>(number)];
+    const scene::View& from = scene.views[static_cast<std::size_t>(number)];
     const auto inner =
         [&](Index extent) {  // the window lies inside where the image is large enough
           const double half = 0.5 * static_cast<double>(std::min(config.crop, extent));
@@ -55,8 +57,8 @@ MonoSample window(const MonoTrainConfig& config, const std::vector<Scene>& scene
     const double z = 0.5 * (scene.z_low + scene.z_high);  // any: it is this view's own pixel
     const auto at =
         scene.frame.local_from_geodetic(from.rpc.localize({px, py}, z + scene.frame.h0));
-    Crop crop = make_crop(scene, {number}, {}, at[0], at[1], z, config.crop, scene.z_low,
-                          scene.z_high, true);
+    scene::Crop crop = scene::make_crop(scene, {number}, {}, at[0], at[1], z, config.crop,
+                                        scene.z_low, scene.z_high, true);
     view = std::move(crop.input.sources[0]);
     truth = std::move(crop.source_truth[2][0]);
     valid = Tensor(truth.shape());
@@ -77,26 +79,27 @@ MonoSample window(const MonoTrainConfig& config, const std::vector<Scene>& scene
 /// The monocular network and its objective.
 class MonoTask : public TrainingTask {
  public:
-  MonoTask(const MonoTrainConfig& config, const std::vector<Scene>& scenes, std::uint64_t seed)
+  MonoTask(const MonoTrainConfig& config, const std::vector<scene::Scene>& scenes,
+           std::uint64_t seed)
       : config_(config), scenes_(scenes), seed_(seed), mono_(config.mono, seed) {}
 
   nn::ParameterSet<float>& parameters() override { return mono_.parameters(); }
-  std::string prefix() const override { return kMonoPrefix; }
-  void store(TensorFile& file) const override { store_mono(file, mono_); }
+  std::string prefix() const override { return nn::kMonoPrefix; }
+  void store(TensorFile& file) const override { nn::store_mono(file, mono_); }
   StepLoss loss(Index step) const override {
     return mono_loss(config_, mono_, mono_sample(config_, scenes_, seed_, step));
   }
 
  private:
   const MonoTrainConfig& config_;
-  const std::vector<Scene>& scenes_;
+  const std::vector<scene::Scene>& scenes_;
   std::uint64_t seed_;
   nn::Mono mono_;
 };
 
 }  // namespace
 
-MonoSample mono_sample(const MonoTrainConfig& config, const std::vector<Scene>& scenes,
+MonoSample mono_sample(const MonoTrainConfig& config, const std::vector<scene::Scene>& scenes,
                        std::uint64_t seed, Index step) {
   const Index N = config.batch, S = config.crop;
   const Rng of_step = Rng(seed).fork(static_cast<std::uint64_t>(step));
@@ -138,18 +141,16 @@ double mono_correlation(const Tensor& height, const Tensor& truth, const Tensor&
   return maps > 0 ? sum / maps : std::nan("");
 }
 
-void train(const MonoTrainConfig& config, const fs::path& data, OutputFolder out,
-           std::uint64_t seed, bool resume, const StepCallback& callback,
-           const std::function<void(double)>& reading) {
+void train(const MonoTrainConfig& config, const fs::path& data, std::uint64_t seed,
+           const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
   check_fields(config, "train");
   if (config.task != "mono") throw ConfigError("train: task is " + config.task + ", expected mono");
   if (config.crop % nn::kMonoMultiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +
                       ", expected a multiple of " + std::to_string(nn::kMonoMultiple));
-  const auto scenes = training_scenes(data, 1, reading);
+  const auto scenes = training_scenes(data, 1, callbacks.reading);
   MonoTask task(config, scenes, seed);
-  run_training(task, config, to_json(config), scenes.size(), std::move(out), seed, resume,
-               callback);
+  run_training(task, config, {to_json(config).dump(), scenes.size(), seed, checkpoint}, callbacks);
 }
 
 }  // namespace satsurf::train

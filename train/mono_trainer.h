@@ -50,7 +50,7 @@ struct MonoSample {
 
 /// Sample number `step` of a run: a pure function of scenes, configuration, seed and step. A window
 /// of a random view each, in one of eight orientations: relative heights know no camera.
-MonoSample mono_sample(const MonoTrainConfig& config, const std::vector<Scene>& scenes,
+MonoSample mono_sample(const MonoTrainConfig& config, const std::vector<scene::Scene>& scenes,
                        std::uint64_t seed, Index step);
 
 /// Scale-and-shift-invariant distance plus weighted gradients, in which the maps' terms are `ssi`,
@@ -63,11 +63,10 @@ StepLoss mono_loss(const MonoTrainConfig& config, const nn::Mono& mono, const Mo
 /// throws                ShapeError
 double mono_correlation(const Tensor& height, const Tensor& truth, const Tensor& valid);
 
-/// Trains the monocular network on the views of a folder's scenes; files and arguments as those of
-/// the surface network's `train`. Terms of a step: `ssi`, `gradient`, `correlation`.
+/// Trains the monocular network on the views of a folder's scenes; arguments as those of the
+/// surface network's `train`. Terms of a step: `ssi`, `gradient`, `correlation`.
 /// throws  IoError, ConfigError
-void train(const MonoTrainConfig& config, const std::filesystem::path& data, OutputFolder out,
-           std::uint64_t seed, bool resume, const StepCallback& callback,
-           const std::function<void(double)>& reading = {});
+void train(const MonoTrainConfig& config, const std::filesystem::path& data, std::uint64_t seed,
+           const std::filesystem::path& checkpoint, const TrainingCallbacks& callbacks);
 
 }  // namespace satsurf::train

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/train/trainer.h"
 
+#include "satsurf/core/fields_json.h"
 #include "satsurf/train/augment.h"
 #include "satsurf/train/loss.h"
 
@@ -17,17 +18,18 @@ namespace fs = std::filesystem;
 /// The surface network and its objective.
 class SurfaceTask : public TrainingTask {
  public:
-  SurfaceTask(const TrainConfig& config, const std::vector<Scene>& scenes, std::uint64_t seed)
+  SurfaceTask(const TrainConfig& config, const std::vector<scene::Scene>& scenes,
+              std::uint64_t seed)
       : config_(config), scenes_(scenes), seed_(seed), model_(config.model, seed) {
     if (!config.lpips_weights.empty()) lpips_ = nn::Lpips::load(config.lpips_weights);
   }
   nn::Model& model() { return model_; }
 
   nn::ParameterSet<float>& parameters() override { return model_.parameters(); }
-  std::string prefix() const override { return kModelPrefix; }
-  void store(TensorFile& file) const override { store_model(file, model_); }
+  std::string prefix() const override { return nn::kModelPrefix; }
+  void store(TensorFile& file) const override { nn::store_model(file, model_); }
   StepLoss loss(Index step) const override {
-    const Crop crop = training_sample(config_, scenes_, seed_, step);
+    const scene::Crop crop = training_sample(config_, scenes_, seed_, step);
     const LossReport loss =
         training_loss(config_, config_.model, model_.forward(crop.input), crop,
                       {.step = step, .seed = seed_, .lpips = lpips_ ? &*lpips_ : nullptr});
@@ -39,7 +41,7 @@ class SurfaceTask : public TrainingTask {
 
  private:
   const TrainConfig& config_;
-  const std::vector<Scene>& scenes_;
+  const std::vector<scene::Scene>& scenes_;
   std::uint64_t seed_;
   nn::Model model_;
   std::optional<nn::Lpips> lpips_;
@@ -47,16 +49,16 @@ class SurfaceTask : public TrainingTask {
 
 }  // namespace
 
-Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes,
-                     std::uint64_t seed, Index step) {
+scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::Scene>& scenes,
+                            std::uint64_t seed, Index step) {
   Rng rng = Rng(seed).fork(static_cast<std::uint64_t>(step));
   // A window may lie where the truth is unknown or outside an image; a few tries always find a good
   // one.
   constexpr int kTries = 20;
   constexpr double kEnough = 0.6;  // share of source pixels with a known height
-  Crop crop;
+  scene::Crop crop;
   for (int attempt = 0; attempt < kTries; ++attempt) {
-    const Scene& scene =
+    const scene::Scene& scene =
         scenes[static_cast<std::size_t>(rng.below(static_cast<Index>(scenes.size())))];
     std::vector<Index> order(scene.views.size());
     std::iota(order.begin(), order.end(), Index{0});
@@ -67,8 +69,8 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
 
     // Around a random pixel of the first source, far enough inside for the window where the image
     // is large enough.
-    const HeightField& truth = *scene.truth;
-    const SceneView& first = scene.views[static_cast<std::size_t>(sources[0])];
+    const scene::HeightField& truth = *scene.truth;
+    const scene::View& first = scene.views[static_cast<std::size_t>(sources[0])];
     const auto inner = [&](Index extent) {
       const double half = 0.5 * static_cast<double>(std::min(config.crop, extent));
       return rng.uniform(half - 0.5, std::max(half, static_cast<double>(extent) - half) - 0.5);
@@ -91,7 +93,7 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
     const double span = scene.z_high - scene.z_low;
     const double low = scene.z_low - rng.uniform(0, config.range_jitter) * span,
                  high = scene.z_high + rng.uniform(0, config.range_jitter) * span;
-    crop = make_crop(scene, sources, order[N], x, y, z, config.crop, low, high, true);
+    crop = scene::make_crop(scene, sources, order[N], x, y, z, config.crop, low, high, true);
     Index known = 0, all = 0;
     for (std::size_t i = 0; i < N; ++i)
       for (Index p = 0; p < config.crop * config.crop; ++p, ++all) {
@@ -107,7 +109,7 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
     if (static_cast<double>(known) >= kEnough * static_cast<double>(all)) break;
   }
   const Radiometry radiometry = random_radiometry(config.radiometry, config.grey_share, rng);
-  for (nn::View& v : crop.input.sources) apply(radiometry, v);
+  for (nn::PosedImage& v : crop.input.sources) apply(radiometry, v);
   apply(radiometry, *crop.target);
   return crop;
 }
@@ -115,7 +117,7 @@ Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes
 bool needs_branch(const TrainConfig& config) {
   if (config.model.mono == "none") return false;
   if (config.init.empty()) return true;
-  const std::string prefix = std::string(kModelPrefix) + nn::kMonoPrefix;
+  const std::string prefix = std::string(nn::kModelPrefix) + nn::kMonoPrefix;
   const TensorFile file = load_safetensors(config.init);
   return std::ranges::none_of(file.tensors,
                               [&](const auto& item) { return item.first.starts_with(prefix); });
@@ -133,8 +135,8 @@ std::vector<std::string> idle_settings(const TrainConfig& config) {
   return out;
 }
 
-void train(const TrainConfig& config, const fs::path& data, OutputFolder out, std::uint64_t seed,
-           bool resume, const StepCallback& callback, const std::function<void(double)>& reading) {
+void train(const TrainConfig& config, const fs::path& data, std::uint64_t seed,
+           const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
   check_fields(config, "train");
   if (config.task != "surface")
     throw ConfigError("train: task is " + config.task + ", expected surface");
@@ -142,6 +144,7 @@ void train(const TrainConfig& config, const fs::path& data, OutputFolder out, st
   if (config.crop % multiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +
                       ", expected a multiple of " + std::to_string(multiple));
+  const bool resume = !checkpoint.empty();
   const bool branch = !resume && needs_branch(config);
   const std::string mono = config.mono_weights.empty() ? config.mono_found : config.mono_weights;
   if (branch && mono.empty())
@@ -150,11 +153,10 @@ void train(const TrainConfig& config, const fs::path& data, OutputFolder out, st
   if (!resume && !branch && config.model.mono != "none" && !config.mono_weights.empty())
     throw ConfigError("train: mono_weights is " + config.mono_weights + ", but " + config.init +
                       " has a monocular branch already, expected one of them");
-  const auto scenes = training_scenes(data, config.views + 1, reading);  // and one target
+  const auto scenes = training_scenes(data, config.views + 1, callbacks.reading);  // and one target
   SurfaceTask task(config, scenes, seed);
-  if (branch) load_mono_branch(task.model(), mono);
-  run_training(task, config, to_json(config), scenes.size(), std::move(out), seed, resume,
-               callback);
+  if (branch) nn::load_mono_branch(task.model(), mono);
+  run_training(task, config, {to_json(config).dump(), scenes.size(), seed, checkpoint}, callbacks);
 }
 
 }  // namespace satsurf::train

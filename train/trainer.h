@@ -2,7 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/model.h"
-#include "satsurf/train/checkpoint.h"
+#include "satsurf/nn/weights_file.h"
 #include "satsurf/train/loss.h"
 #include "satsurf/train/training.h"
 
@@ -48,25 +48,20 @@ bool needs_branch(const TrainConfig& config);
 /// is missing, weights of a branch that the network does not have.
 std::vector<std::string> idle_settings(const TrainConfig& config);
 
-/// Trains on the scenes of a folder and writes `checkpoint.safetensors` (all that resuming needs),
-/// `weights.safetensors` (the model alone) and `train.jsonl`.
-/// config    all settings
-/// data      data set, see `list_scenes`
-/// out       folder of the files; a staged one is committed with the first checkpoint, after one
-///           step: what fails before costs no earlier run
-/// seed      of the initial weights and the samples
-/// resume    go on from `out/checkpoint.safetensors`, bit for bit as if never interrupted
-/// callback  may be empty
-/// reading   told before each scene is read which share of them has been; may throw to stop
-/// throws    IoError, ConfigError; also where the model has a monocular branch and none of `init`,
-///           `mono_weights` and `mono_found` names a file that has it, for it is not trained here,
-///           and where both `init` and `mono_weights` do
-void train(const TrainConfig& config, const std::filesystem::path& data, OutputFolder out,
-           std::uint64_t seed, bool resume, const StepCallback& callback,
-           const std::function<void(double)>& reading = {});
+/// Trains on the scenes of a folder.
+/// config      all settings
+/// data        data set, see `scene::list_scenes`
+/// seed        of the initial weights and the samples
+/// checkpoint  go on from this file, bit for bit as if never interrupted; empty for a new run
+/// callbacks   what the caller is told; without `save` nothing is kept
+/// throws      IoError, ConfigError; also where the model has a monocular branch and none of
+///             `init`, `mono_weights` and `mono_found` names a file that has it, for it is not
+///             trained here, and where both `init` and `mono_weights` do
+void train(const TrainConfig& config, const std::filesystem::path& data, std::uint64_t seed,
+           const std::filesystem::path& checkpoint, const TrainingCallbacks& callbacks);
 
 /// Sample number `step` of a run: a pure function of scenes, configuration, seed and step.
-Crop training_sample(const TrainConfig& config, const std::vector<Scene>& scenes,
-                     std::uint64_t seed, Index step);
+scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::Scene>& scenes,
+                            std::uint64_t seed, Index step);
 
 }  // namespace satsurf::train

@@ -2,9 +2,9 @@
 #include "satsurf/train/training.h"
 
 #include "satsurf/core/atomic_file.h"
+#include "satsurf/core/fields_json.h"
+#include "satsurf/core/version.h"
 #include "satsurf/nn/adamw.h"
-#include "satsurf/train/log.h"
-#include "satsurf/train/record.h"
 
 #include <algorithm>
 #include <chrono>
@@ -42,33 +42,6 @@ std::string differences(nlohmann::json saved, const std::string& saved_seed, nlo
   return text;
 }
 
-/// Appends one line per step; on resuming, drops the lines of steps that will be run again.
-class Journal {
- public:
-  Journal(const fs::path& path, Index keep_steps) {
-    std::string kept;
-    if (keep_steps > 0) {
-      std::ifstream in(path);
-      std::string line;
-      for (Index n = 0; n < keep_steps && std::getline(in, line); ++n) kept += line + '\n';
-    }
-    atomic_write(path, kept);
-    out_.open(path, std::ios::app);
-    if (!out_) throw IoError(path.string() + ": cannot be written");
-  }
-  void add(const StepReport& r) {
-    nlohmann::ordered_json line{{"step", r.step}, {"loss", r.loss}};
-    for (const auto& [name, value] : r.terms) line[name] = value;
-    line["lr"] = r.lr;
-    line["grad_norm"] = r.grad_norm;
-    line["seconds"] = r.seconds;
-    out_ << line.dump() << '\n' << std::flush;
-  }
-
- private:
-  std::ofstream out_;
-};
-
 /// The configuration for files that are handed on: other files by name, not where they lie here.
 nlohmann::json without_folders(nlohmann::json config) {
   for (const char* field : {"init", "mono_weights", "lpips_weights"})
@@ -78,14 +51,13 @@ nlohmann::json without_folders(nlohmann::json config) {
 }
 
 /// Takes what a weights file has of the network.
-void start_from(const std::string& init, TrainingTask& task) {
+void start_from(const std::string& init, TrainingTask& task, const TrainingCallbacks& callbacks) {
   const std::vector<std::string> missing =
       task.parameters().load_present(load_safetensors(init), task.prefix(), init);
-  if (missing.empty()) return;
-  log_line(LogLevel::info, init + ": has all but " + std::to_string(missing.size()) + " of the " +
-                               std::to_string(task.parameters().entries().size()) +
-                               " parameters; " + missing.front() + " to " + missing.back() +
-                               " start as without it");
+  if (missing.empty() || !callbacks.note) return;
+  callbacks.note(init + ": has all but " + std::to_string(missing.size()) + " of the " +
+                 std::to_string(task.parameters().entries().size()) + " parameters; " +
+                 missing.front() + " to " + missing.back() + " start as without it");
 }
 
 /// Takes network and optimiser from a checkpoint of the same run.
@@ -116,46 +88,72 @@ double StepReport::term(const std::string& name) const {
   return std::nan("");
 }
 
-std::vector<Scene> training_scenes(const fs::path& folder, Index least,
-                                   const std::function<void(double)>& reading) {
-  const std::vector<std::string> names = list_scenes(folder);
-  std::vector<Scene> scenes;
+std::vector<scene::Scene> training_scenes(const fs::path& folder, Index least,
+                                          const std::function<void(double)>& reading) {
+  const std::vector<std::string> names = scene::list_scenes(folder);
+  std::vector<scene::Scene> scenes;
   for (const std::string& name : names) {
     if (reading) reading(static_cast<double>(scenes.size()) / static_cast<double>(names.size()));
-    Scene scene = load_scene(folder, name);
+    scene::Scene scene = scene::load_scene(folder, name);
     if (static_cast<Index>(scene.views.size()) < least)
       throw IoError(folder.string() + ": scene " + name + " has " +
                     std::to_string(scene.views.size()) + " images, expected at least " +
                     std::to_string(least));
     if (!scene.truth)
-      throw IoError(scene.truth_file.string() + ": no such file, wanted the truth to train with");
+      throw IoError(scene.truth_file.string() + ": no such file, expected the truth to train with");
     scenes.push_back(std::move(scene));
   }
   return scenes;
 }
 
-void run_training(TrainingTask& task, const TrainingSettings& settings,
-                  const nlohmann::json& config, std::size_t scenes, OutputFolder out,
-                  std::uint64_t seed, bool resume, const StepCallback& callback) {
+void TrainingFolder::add(const StepReport& r) {
+  if (!lines_.is_open()) {
+    const fs::path file = folder_ / "train.jsonl";
+    std::string kept;
+    if (r.step > 1) {
+      std::ifstream in(file);
+      std::string line;
+      for (Index n = 1; n < r.step && std::getline(in, line); ++n) kept += line + '\n';
+    }
+    atomic_write(file, kept);
+    lines_.open(file, std::ios::app);
+    if (!lines_) throw IoError(file.string() + ": cannot be written");
+  }
+  nlohmann::ordered_json line{{"step", r.step}, {"loss", r.loss}};
+  for (const auto& [name, value] : r.terms) line[name] = value;
+  line["lr"] = r.lr;
+  line["grad_norm"] = r.grad_norm;
+  line["seconds"] = r.seconds;
+  lines_ << line.dump() << '\n' << std::flush;
+}
+
+void TrainingFolder::save(const TensorFile& checkpoint, const TensorFile& weights) const {
+  save_safetensors(folder_ / "checkpoint.safetensors", checkpoint);
+  save_safetensors(folder_ / "weights.safetensors", weights);
+}
+
+void run_training(TrainingTask& task, const TrainingSettings& settings, const TrainingRun& run,
+                  const TrainingCallbacks& callbacks) {
+  const nlohmann::json config = nlohmann::json::parse(run.config);
   nn::AdamW optimiser(task.parameters(), {.weight_decay = settings.weight_decay});
+  const bool resume = !run.checkpoint.empty();
   if (resume)
-    resume_from(out / "checkpoint.safetensors", task, optimiser, config, seed);
+    resume_from(run.checkpoint, task, optimiser, config, run.seed);
   else if (!settings.init.empty())
-    start_from(settings.init, task);
+    start_from(settings.init, task, callbacks);
   Index step = optimiser.steps();
-  Journal journal(out / "train.jsonl", step);
 
   const auto save = [&] {
-    TensorFile file;
-    file.metadata = {{"train", config.dump()},       {"seed", std::to_string(seed)},
-                     {"step", std::to_string(step)}, {"scenes", std::to_string(scenes)},
-                     {"version", program_version()}, {"git", program_git_hash()}};
-    task.store(file);
-    TensorFile all = file;
-    optimiser.store(all);
-    save_safetensors(out / "checkpoint.safetensors", all);
-    file.metadata["train"] = without_folders(config).dump();
-    save_safetensors(out / "weights.safetensors", file);
+    if (!callbacks.save) return;
+    TensorFile weights;
+    weights.metadata = {{"train", config.dump()},       {"seed", std::to_string(run.seed)},
+                        {"step", std::to_string(step)}, {"scenes", std::to_string(run.scenes)},
+                        {"version", program_version()}, {"git", program_git_hash()}};
+    task.store(weights);
+    TensorFile checkpoint = weights;
+    optimiser.store(checkpoint);
+    weights.metadata["train"] = without_folders(config).dump();
+    callbacks.save(checkpoint, weights);
   };
 
   for (bool go_on = true; go_on && step < settings.steps;) {
@@ -184,12 +182,10 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
     ++step;
     report.seconds =
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    journal.add(report);
-    if (callback) go_on = callback(report);
+    if (callbacks.step) go_on = callbacks.step(report);
     if (!go_on || step == settings.steps || step % settings.checkpoint_every == 0 ||
-        !out.in_its_place())
+        (step == 1 && !resume))
       save();
-    out.commit();
   }
 }
 

@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include "satsurf/core/fields_json.h"
+#include "satsurf/core/fields.h"
+#include "satsurf/core/safetensors.h"
 #include "satsurf/nn/module.h"
-#include "satsurf/train/dataset.h"
-#include "satsurf/train/output_folder.h"
+#include "satsurf/scene/crop.h"
+#include "satsurf/scene/dataset.h"
 
+#include <cstdint>
 #include <filesystem>
+#include <fstream>
 #include <functional>
 #include <string>
 #include <utility>
@@ -68,8 +71,19 @@ struct StepReport {
   double term(const std::string& name) const;
 };
 
-/// Called after every step; returning false stops after saving a checkpoint.
-using StepCallback = std::function<bool(const StepReport&)>;
+/// What a training tells its caller, and what it asks of it. Each may be empty.
+struct TrainingCallbacks {
+  /// After every step; returning false stops the training once its state has been saved.
+  std::function<bool(const StepReport&)> step;
+  /// Whenever the state is worth keeping: after the first step of a new run, every
+  /// `checkpoint_every` steps and at the end. The checkpoint holds all that resuming needs, the
+  /// weights the network alone.
+  std::function<void(const TensorFile& checkpoint, const TensorFile& weights)> save;
+  /// Before each scene is read, with the share of them that has been; may throw to stop.
+  std::function<void(double)> reading;
+  /// A finding in a sentence for the user.
+  std::function<void(const std::string&)> note;
+};
 
 /// A network in training, and what it is taught.
 class TrainingTask {
@@ -84,24 +98,47 @@ class TrainingTask {
   virtual StepLoss loss(Index step) const = 0;
 };
 
-/// Optimises a network with AdamW and a one-cycle learning rate, and writes
-/// `checkpoint.safetensors` (all that resuming needs), `weights.safetensors` (the network alone)
-/// and `train.jsonl`.
+/// What a run is, besides its task and settings.
+struct TrainingRun {
+  std::string config;      ///< all settings as JSON, which the files keep and resuming compares
+  std::size_t scenes = 0;  ///< trained on, for the files to tell
+  std::uint64_t seed = 0;  ///< of the initial weights and the samples
+  std::filesystem::path checkpoint;  ///< to go on from, bit for bit; empty for a new run
+};
+
+/// Optimises a network with AdamW and a one-cycle learning rate.
 /// task      the network and its objective
 /// settings  of the run
-/// config    all settings, which the files keep and which must be the same to resume
-/// scenes    trained on, for the files to tell
-/// out, seed, resume, callback  as `train`
 /// throws    IoError, ConfigError; Error if loss or gradient is not finite
-void run_training(TrainingTask& task, const TrainingSettings& settings,
-                  const nlohmann::json& config, std::size_t scenes, OutputFolder out,
-                  std::uint64_t seed, bool resume, const StepCallback& callback);
+void run_training(TrainingTask& task, const TrainingSettings& settings, const TrainingRun& run,
+                  const TrainingCallbacks& callbacks);
+
+/// The files of a run in a folder: `checkpoint.safetensors` (all that resuming needs),
+/// `weights.safetensors` (the network alone) and `train.jsonl` (a line per step).
+class TrainingFolder {
+ public:
+  explicit TrainingFolder(std::filesystem::path folder) : folder_(std::move(folder)) {}
+
+  std::filesystem::path checkpoint() const { return folder_ / "checkpoint.safetensors"; }
+  /// Adds the step's line to `train.jsonl`; the first call drops the lines of that step and later
+  /// ones, which an interrupted run may have left.
+  /// throws  IoError
+  void add(const StepReport& report);
+  /// throws  IoError
+  void save(const TensorFile& checkpoint, const TensorFile& weights) const;
+  /// The folder has been renamed.
+  void moved_to(std::filesystem::path folder) { folder_ = std::move(folder); }
+
+ private:
+  std::filesystem::path folder_;
+  std::ofstream lines_;
+};
 
 /// All scenes of a data set, each with the truth.
 /// least    images of each
 /// reading  told before each scene is read which share of them has been; may throw to stop
 /// throws   IoError
-std::vector<Scene> training_scenes(const std::filesystem::path& folder, Index least,
-                                   const std::function<void(double)>& reading);
+std::vector<scene::Scene> training_scenes(const std::filesystem::path& folder, Index least,
+                                          const std::function<void(double)>& reading);
 
 }  // namespace satsurf::train

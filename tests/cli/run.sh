@@ -259,7 +259,7 @@ holds "nothing below a warning on stderr" test ! -s stderr
 holds "or in the file" cmp log.txt before.txt
 "$satsurf" info gone.tif --log-file log.txt 2>stderr
 holds "errors go to the file too" grep -qE " error +gone.tif" log.txt
-refuses "unknown level" 2 "log-level: loud, wanted error, warning, info or debug" "$satsurf" info "${images[0]}" --log-level loud
+refuses "unknown level" 2 "log-level: loud, expected error, warning, info or debug" "$satsurf" info "${images[0]}" --log-level loud
 refuses "log in a missing folder" 1 "gone/log.txt.*no folder gone" "$satsurf" info "${images[0]}" --log-file gone/log.txt
 refuses "scores over a file of the data set" 1 "json: $truth is a file of the input data" \
   "$satsurf" evaluate --data data --weights $weights --json $truth --overwrite
@@ -309,16 +309,16 @@ refuses "a mesh and a picture" 2 "--mesh excludes --image|--image excludes --mes
   "$satsurf" evaluate --mesh out/mesh.ply --reference-mesh out/mesh.ply --image out/height.png
 refuses "a surface without the truth" 2 "--truth is required" "$satsurf" evaluate --dsm $truth
 refuses "the truth without a surface" 2 "--dsm and --truth" "$satsurf" evaluate --truth $truth
-refuses "a table of one surface" 2 "evaluate --dsm: --csv came, wanted only with --data$" \
+refuses "a table of one surface" 2 "evaluate --dsm: --csv came, expected only with --data$" \
   "$satsurf" evaluate --dsm $truth --truth $truth --csv no.csv
-refuses "the truth of a data set" 2 "evaluate --data: --truth came, wanted only with --dsm$" \
+refuses "the truth of a data set" 2 "evaluate --data: --truth came, expected only with --dsm$" \
   "$satsurf" evaluate --data data --weights $weights --truth $truth
-refuses "a registered picture" 2 "evaluate --image: --register came, wanted only with --dsm or --data$" \
+refuses "a registered picture" 2 "evaluate --image: --register came, expected only with --dsm or --data$" \
   "$satsurf" evaluate "${pictures[@]}" --register z
-refuses "LPIPS of a mesh" 2 "evaluate --mesh: --lpips-weights came, wanted only with --data or --image$" \
+refuses "LPIPS of a mesh" 2 "evaluate --mesh: --lpips-weights came, expected only with --data or --image$" \
   "$satsurf" evaluate --mesh out/mesh.ply --reference-mesh out/mesh.ply --lpips_weights $weights
 refuses "another kind of mesh" 2 "--mesh.*poisson" "$satsurf" reconstruct "${images[@]}" --out no --mesh poisson
-refuses "voxels of nothing" 2 "--voxel.*0, wanted a number from 0.01" "$satsurf" reconstruct "${images[@]}" --out no --voxel 0
+refuses "voxels of nothing" 2 "--voxel.*0, expected a number from 0.01" "$satsurf" reconstruct "${images[@]}" --out no --voxel 0
 refuses "a picture and a surface" 2 "--image excludes --dsm|--dsm excludes --image" \
   "$satsurf" evaluate --image out/height.png --reference out/height.png --dsm $truth --truth $truth
 refuses "no output folder" 2 "--out" "$satsurf" reconstruct "${images[@]}" --weights $weights
@@ -340,14 +340,14 @@ echo "this is not an image" >text.tif
 refuses "not a TIFF" 1 "text.tif" reconstruct "${good[0]}" text.tif --out no --weights $weights
 refuses "info of what is not a TIFF" 1 "text.tif" "$satsurf" info text.tif
 head -c 3000 "${images[2]}" >short.tif
-refuses "truncated TIFF" 1 "short.tif.*wanted" reconstruct "${good[0]}" short.tif --out no --weights $weights
+refuses "truncated TIFF" 1 "short.tif.*expected" reconstruct "${good[0]}" short.tif --out no --weights $weights
 : >empty.tif
 refuses "empty file" 1 "empty.tif" reconstruct "${good[0]}" empty.tif --out no --weights $weights
 refuses "no RPC" 1 "dsm.tif.*RPC" reconstruct "${good[0]}" out/dsm.tif --out no --weights $weights
 refuses "missing image" 1 "nowhere.tif" reconstruct "${good[0]}" nowhere.tif --out no --weights $weights
 refuses "no overlap" 1 "SIM_001_001_RGB.tif and .*SIM_002_001_RGB.tif do not overlap" \
   reconstruct "${good[0]}" data/Track3-RGB/SIM_002_001_RGB.tif --out no --weights $weights
-refuses "one image" 1 "SIM_001_001_RGB.tif is the only image, wanted two or more" reconstruct "${good[0]}" --out no --weights $weights
+refuses "one image" 1 "SIM_001_001_RGB.tif is the only image, expected two or more" reconstruct "${good[0]}" --out no --weights $weights
 refuses "one image twice" 1 "SIM_001_001_RGB.tif and .*SIM_001_001_RGB.tif are seen from one direction" \
   reconstruct "${good[0]}" "${good[0]}" --out no --weights $weights
 refuses "existing output folder" 1 "out .*--overwrite" reconstruct "${good[@]}" --out out --weights $weights
@@ -385,12 +385,12 @@ refuses "existing picture scores" 1 "--json: picture.json exists; use --overwrit
 refuses "picture scores into the reference" 1 "--json: out/views/SIM_001_001_RGB_source.png is an input" \
   scores "${pictures[@]}" --json out/views/SIM_001_001_RGB_source.png --overwrite
 refuses "a picture that is missing" 1 "gone.png: no such file" scores --image gone.png --reference out/height.png
-refuses "a picture that is none" 1 "text.tif: .*wanted a PNG, JPEG or TIFF" scores --image out/height.png --reference text.tif
+refuses "a picture that is none" 1 "text.tif: .*expected a PNG, JPEG or TIFF" scores --image out/height.png --reference text.tif
 head -c 1000 out/height.png >short.png
-refuses "a truncated picture" 1 "short.png: .*wanted a PNG, JPEG or TIFF" scores --image short.png --reference out/height.png
+refuses "a truncated picture" 1 "short.png: .*expected a PNG, JPEG or TIFF" scores --image short.png --reference out/height.png
 refuses "pictures of two sizes" 1 "height.png and .*source.png: [0-9]+ x [0-9]+ px in colour and [0-9]+ x [0-9]+ px.*one size" \
   scores --image out/height.png --reference out/views/SIM_001_001_RGB_source.png
-refuses "a mask of another size" 1 "out/height.png: .*wanted 96 x 96 px" scores "${pictures[@]}" --mask out/height.png
+refuses "a mask of another size" 1 "out/height.png: .*expected 96 x 96 px" scores "${pictures[@]}" --mask out/height.png
 refuses "a network's weights for LPIPS" 1 "$weights: no net.slice1.0.weight" scores "${pictures[@]}" --lpips-weights $weights
 meshes() { "$satsurf" evaluate --mesh "$1" --reference-mesh "$2" "${@:3}"; }
 refuses "existing mesh scores" 1 "--json: mesh.json exists; use --overwrite" meshes out/mesh.ply out/mesh.ply --json mesh.json
@@ -398,8 +398,8 @@ refuses "mesh scores into the reference" 1 "--json: out/mesh.ply is an input" \
   meshes coarse/mesh.ply out/mesh.ply --json out/mesh.ply --overwrite
 refuses "a mesh that is missing" 1 "gone.ply: cannot be opened" meshes out/mesh.ply gone.ply
 refuses "surfels for a mesh" 1 "out/surfels.ply: no faces, expected a mesh" meshes out/surfels.ply out/mesh.ply
-refuses "a mesh in another zone" 1 "elsewhere.ply: EPSG:32[67][0-9]{2} and EPSG:32[67]60, wanted one system" meshes out/mesh.ply elsewhere.ply
-refuses "a mesh without a place" 1 "out/mesh.ply and nowhere.ply: EPSG:32[67][0-9]{2} and no system, wanted one system" \
+refuses "a mesh in another zone" 1 "elsewhere.ply: EPSG:32[67][0-9]{2} and EPSG:32[67]60, expected one system" meshes out/mesh.ply elsewhere.ply
+refuses "a mesh without a place" 1 "out/mesh.ply and nowhere.ply: EPSG:32[67][0-9]{2} and no system, expected one system" \
   meshes out/mesh.ply nowhere.ply
 refuses "no weights for LPIPS" 1 "gone.safetensors" scores "${pictures[@]}" --lpips-weights gone.safetensors
 refuses "two results in one file" 1 "out/../both: named for two" scores "${scored[@]}" --error-map out/../both --json both

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "satsurf/core/tensor.h"
-#include "satsurf/ops/conv_engine.h"
+#include "satsurf/ops/conv/engine.h"
 
 /// The convolutions as seven nested loops over their definition, in double.
 namespace satsurf::test {

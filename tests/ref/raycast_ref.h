@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include "satsurf/train/raycast.h"
+#include "satsurf/scene/raycast.h"
 
 #include <cmath>
 #include <limits>
@@ -10,7 +10,7 @@ namespace satsurf::ref {
 
 /// What heights_in_view says about one ray, by marching down it in `steps` equal pieces. Walls are
 /// found to a piece's height; where a ray passes an edge by less than that the answers may differ.
-inline double height_by_marching(const train::HeightField& field, const Quadratic& local_from_pixel,
+inline double height_by_marching(const scene::HeightField& field, const Quadratic& local_from_pixel,
                                  double x, double y, int steps) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   double low = 1e300, high = -1e300;

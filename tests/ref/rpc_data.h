@@ -5,25 +5,22 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <functional>
 #include <string>
 #include <vector>
 
+#include "tests/paths.h"
 #include <doctest/doctest.h>
 #include <gdal_alg.h>
 #include <nlohmann/json.hpp>
 
 namespace satsurf::test {
 
-/// Folder of real images and cameras, which the repository does not contain: SATSURF_DATA, or
-/// ../shared/data beside the sources. Empty, with a message, where there is none.
+/// `shared_data()` with its real images and cameras; empty, with a message, where there are none.
 inline std::filesystem::path data_folder() {
-  const char* named = std::getenv("SATSURF_DATA");
-  const std::filesystem::path folder =
-      named ? named : std::filesystem::path(__FILE__).parent_path() / "../../../shared/data";
+  const std::filesystem::path folder = shared_data();
   if (std::filesystem::is_directory(folder / "rpc_library"))
     return std::filesystem::weakly_canonical(folder);
   MESSAGE("SKIPPED: no real data at ", folder.string(), " (set SATSURF_DATA)");

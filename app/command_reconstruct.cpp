@@ -1,0 +1,335 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/commands.h"
+#include "satsurf/app/log.h"
+#include "satsurf/app/output_folder.h"
+#include "satsurf/app/preview.h"
+#include "satsurf/app/progress.h"
+#include "satsurf/app/record.h"
+#include "satsurf/core/error.h"
+#include "satsurf/core/memory.h"
+#include "satsurf/core/parallel.h"
+#include "satsurf/core/var.h"
+#include "satsurf/mesh/ply.h"
+#include "satsurf/mesh/surface.h"
+#include "satsurf/nn/weights_file.h"
+#include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/reconstruct/surface_view.h"
+#include "satsurf/rpc/raster.h"
+#include "satsurf/rpc/read.h"
+#include "satsurf/scene/user_images.h"
+#include "satsurf/splat/ply.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <functional>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace satsurf::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+double mean_of(const Tensor& t) {
+  double sum = 0, n = 0;
+  for (const float v : t.values())
+    if (std::isfinite(v)) sum += static_cast<double>(v), n += 1;
+  return sum / n;
+}
+
+/// throws ConfigError for a range that holds no surface
+void check_range(const rpc::HeightRange& range) {
+  constexpr double kLeastSpan = 1;  // m
+  if (range.high - range.low >= kLeastSpan) return;
+  char text[120];
+  std::snprintf(text, sizeof text,
+                "--height-range: %.10g %.10g, expected the lower height first and a span of at "
+                "least %g m",
+                range.low, range.high, kLeastSpan);
+  throw ConfigError(text);
+}
+
+/// Every file that is read: the weights, then those of the images.
+std::vector<fs::path> input_files(const ReconstructCommand& options, const fs::path& weights) {
+  std::vector<fs::path> inputs{weights};
+  for (const fs::path& file : options.images) {
+    const rpc::RasterInfo info = rpc::view_info(file, options.image_dirs);
+    inputs.insert(inputs.end(), info.files.begin(), info.files.end());
+  }
+  return inputs;
+}
+
+/// What was asked for, for the record.
+nlohmann::json config_json(const ReconstructCommand& options, const fs::path& weights) {
+  nlohmann::json config{{"images", options.images},
+                        {"image_dirs", options.image_dirs},
+                        {"weights", weights},
+                        {"resolution", options.resolution},
+                        {"mesh", options.mesh ? "tsdf" : "none"},
+                        {"voxel", options.voxel}};
+  if (options.height_range)
+    config["height_range"] = {options.height_range->low, options.height_range->high};
+  return config;
+}
+
+void note_range(const scene::RangeChoice& choice, Progress& progress) {
+  char text[256];
+  std::snprintf(text, sizeof text, "height range %.1f to %.1f m above the ellipsoid, %s",
+                choice.range.low, choice.range.high, choice.source.c_str());
+  progress.note(text);
+}
+
+/// Warns of cameras that their quadratics do not follow well enough.
+void warn_of_fit(const reconstruct::Reconstruction& made, Progress& progress) {
+  constexpr double kWorst = 0.1;  // px; more shows in the heights
+  if (made.camera_fit_max_px <= kWorst) return;
+  char text[256];
+  std::snprintf(text, sizeof text,
+                "cameras were fitted to %.2f px only, expected %.1f; the images may be too "
+                "large or the height range too wide",
+                made.camera_fit_max_px, kWorst);
+  progress.note(text, LogLevel::warning);
+}
+
+void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene& user) {
+  const rpc::LocalFrame& frame = user.scene.frame;
+  std::printf("height range  %.1f to %.1f m above the ellipsoid, %s\n", user.range.range.low,
+              user.range.range.high, user.range.source.c_str());
+  std::printf("ground        EPSG:%d, east %.0f to %.0f, north %.0f to %.0f (%.0f m x %.0f m)\n",
+              frame.zone.epsg(), plan.ground.x0 + frame.easting0, plan.ground.x1 + frame.easting0,
+              plan.ground.y0 + frame.northing0, plan.ground.y1 + frame.northing0,
+              plan.ground.width(), plan.ground.height());
+  std::printf("surface       %td x %td cells of %g m\n", plan.width, plan.height, plan.step);
+  if (plan.voxel > 0) std::printf("mesh          voxels of %g m\n", plan.voxel);
+  std::printf("tiles         %zu, each with %zu windows of %td x %td px\n", plan.tiles.size(),
+              user.scene.views.size(), plan.window, plan.window);
+  std::printf("memory        about %s; %s are free\n", memory_text(plan.memory_bytes).c_str(),
+              memory_text(static_cast<double>(available_memory())).c_str());
+  for (const nn::PartMemory& part : plan.memory)
+    std::printf("  %-12s%s\n", part.part.c_str(), memory_text(part.bytes).c_str());
+}
+
+/// [{part, bytes, planned_bytes}], and the same for the log.
+nlohmann::ordered_json memory_by_part(const reconstruct::Reconstruction& made) {
+  auto list = nlohmann::ordered_json::array();
+  for (std::size_t i = 0; i < made.memory.size(); ++i) {
+    const nn::PartMemory &part = made.memory[i], &planned = made.planned_memory[i];
+    list.push_back({{"part", part.part}, {"bytes", part.bytes}, {"planned_bytes", planned.bytes}});
+    log_line(LogLevel::debug, "memory: " + part.part + " took " + memory_text(part.bytes) +
+                                  ", foreseen were " + memory_text(planned.bytes));
+  }
+  return list;
+}
+
+void write_surface(const OutputFolder& folder, const reconstruct::Reconstruction& made,
+                   const rpc::LocalFrame& frame) {
+  write_field(folder / "dsm.tif", made.dsm.z, made.dsm, frame, frame.h0,
+              rpc::ellipsoidal_height("Surface heights"));
+  rpc::GeoTags unitless;
+  unitless.unit = "", unitless.description = "Confidence of the surface, 0 to 1";
+  write_field(folder / "confidence.tif", made.confidence, made.dsm, frame, 0, unitless);
+  splat::write_ply(folder / "surfels.ply", made.surfels, frame_comments(frame));
+}
+
+/// The surface as the cameras of the images see it.
+struct RenderedViews {
+  std::vector<Tensor> colours;            ///< [3 H W]
+  std::vector<mesh::HeightView> heights;  ///< with the colours of the images; empty unless wanted
+};
+
+RenderedViews render_views(const reconstruct::Reconstruction& made, const scene::Scene& scene,
+                           bool heights, Progress& progress) {
+  RenderedViews out;
+  for (std::size_t i = 0; i < scene.views.size(); ++i) {
+    progress.update("render", static_cast<double>(i) / static_cast<double>(scene.views.size()));
+    if (interrupted()) throw Interrupted{};
+    const scene::View& view = scene.views[i];
+    reconstruct::SurfaceView seen = reconstruct::rendered_view(made.surfels, view, scene);
+    out.colours.push_back(std::move(seen.colour));
+    if (heights) out.heights.push_back(std::move(seen.heights));
+  }
+  progress.update("render", 1);
+  return out;
+}
+
+void write_pictures(const OutputFolder& folder, const reconstruct::Reconstruction& made,
+                    const scene::Scene& scene, const RenderedViews& rendered, Progress& progress) {
+  fs::create_directories(folder / "views");
+  std::vector<std::pair<std::string, std::function<Tensor()>>> pictures{
+      {"height.png", [&] { return height_picture(made.dsm.z); }},
+      {"hillshade.png", [&] { return hillshade_picture(made.dsm.z, made.dsm.step); }},
+      {"confidence.png", [&] { return confidence_picture(made.confidence); }}};
+  progress.update("pictures", 0);
+  for (std::size_t i = 0; i < scene.views.size(); ++i) {
+    const scene::View& view = scene.views[i];
+    pictures.push_back(
+        {"views/" + view.name + "_render.png", [colour = rendered.colours[i]] { return colour; }});
+    pictures.push_back({"views/" + view.name + "_source.png", [&view] { return view.rgb; }});
+  }
+  // Compression takes as long as rendering, and one picture knows nothing of the other.
+  for_each_index(static_cast<Index>(pictures.size()), [&](Index i) {
+    if (interrupted()) throw Interrupted{};
+    const auto& [name, picture] = pictures[static_cast<std::size_t>(i)];
+    write_png(folder / name, picture());
+  });
+  progress.update("pictures", 1);
+}
+
+/// Fuses what the views see into a mesh, writes it and says what it is.
+nlohmann::ordered_json write_mesh(const fs::path& file, const std::vector<mesh::HeightView>& seen,
+                                  const reconstruct::Reconstruction& made,
+                                  const rpc::LocalFrame& frame) {
+  const auto start = std::chrono::steady_clock::now();
+  mesh::FusionOptions how;
+  how.voxel = made.voxel;
+  mesh::Mesh surface;
+  try {
+    surface = mesh::mesh_from_views(seen, how);
+  } catch (const Error& e) {
+    throw Error(std::string(e.what()) + "; --mesh none leaves it out");
+  }
+  const double seconds =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  mesh::write_ply(file, surface, frame_comments(frame));
+  return {{"voxel", how.voxel},
+          {"vertices", surface.vertices.size()},
+          {"faces", surface.faces.size()},
+          {"seconds", seconds}};
+}
+
+/// Lowest and highest cell of the surface, m above the ellipsoid.
+/// throws Error if no cell got a height
+rpc::HeightRange heights_found(const reconstruct::Reconstruction& made, double h0,
+                               const std::vector<fs::path>& images) {
+  std::vector<float> known;
+  for (const float v : made.dsm.z.values())
+    if (std::isfinite(v)) known.push_back(v);
+  if (known.empty()) {
+    std::string names;
+    for (const fs::path& file : images) names += (names.empty() ? "" : ", ") + file.string();
+    throw Error("reconstruct: no cell of the surface got a height from " + names +
+                ", expected images that agree; see satsurf info");
+  }
+  const auto [low, high] = std::minmax_element(known.begin(), known.end());
+  return {*low + h0, *high + h0};
+}
+
+/// What is said of a surface besides itself.
+struct Summary {
+  rpc::HeightRange heights;     ///< lowest and highest cell, m above the ellipsoid
+  nlohmann::ordered_json mesh;  ///< see `write_mesh`; null without one
+  double seconds = 0;           ///< that making the surface took
+};
+
+/// The results in the record of the run.
+nlohmann::json results_json(const reconstruct::Reconstruction& made, const scene::UserScene& user,
+                            const Summary& summary) {
+  return {{"completeness", made.completeness},
+          {"cells", {made.dsm.z.dim(0), made.dsm.z.dim(1)}},
+          {"resolution", made.dsm.step},
+          {"crs", "EPSG:" + std::to_string(user.scene.frame.zone.epsg())},
+          {"vertical_datum", "WGS84 ellipsoid"},
+          {"height_range", {user.range.range.low, user.range.range.high}},
+          {"height_range_source", user.range.source},
+          {"lowest", summary.heights.low},
+          {"highest", summary.heights.high},
+          {"mean_confidence", mean_of(made.confidence)},
+          {"surfels", made.surfels.means.dim(0)},
+          {"tiles", made.tiles},
+          {"camera_fit_max_px", made.camera_fit_max_px},
+          {"planned_memory_bytes", made.planned_memory_bytes},
+          {"memory_by_part", memory_by_part(made)},
+          {"mesh", summary.mesh},
+          {"reconstruct_seconds", summary.seconds}};
+}
+
+void print_summary(const reconstruct::Reconstruction& made, const scene::Scene& scene,
+                   const Summary& summary, const fs::path& out) {
+  std::printf(
+      "surface       %td x %td cells of %g m, EPSG:%d, %.1f to %.1f m above the ellipsoid\n",
+      made.dsm.z.dim(1), made.dsm.z.dim(0), made.dsm.step, scene.frame.zone.epsg(),
+      summary.heights.low, summary.heights.high);
+  std::printf("completeness  %.1f %%\n", 100 * made.completeness);
+  std::printf("confidence    %.3f on average\n", mean_of(made.confidence));
+  std::printf("surfels       %td from %zu images in %td tile%s\n", made.surfels.means.dim(0),
+              scene.views.size(), made.tiles, made.tiles == 1 ? "" : "s");
+  if (!summary.mesh.is_null())
+    std::printf("mesh          %td faces, voxels of %g m\n", summary.mesh["faces"].get<Index>(),
+                summary.mesh["voxel"].get<double>());
+  std::printf("time          %.1f s\n", summary.seconds);
+  std::printf("written to    %s\n", out.c_str());
+}
+
+}  // namespace
+
+void run_reconstruct(const ReconstructCommand& options) {
+  if (options.height_range) check_range(*options.height_range);
+  const NoGrad no_grad;
+  const fs::path weights = find_weights(options.weights);
+  const std::vector<fs::path> inputs = input_files(options, weights);
+  std::vector<fs::path> apart = inputs;
+  apart.insert(apart.end(), options.image_dirs.begin(), options.image_dirs.end());
+  std::optional<OutputFolder> staged;
+  if (!options.dry_run)
+    staged.emplace(OutputFolder::staged(options.out, options.overwrite, std::move(apart)));
+  const nn::Model model = nn::load_model(weights);
+  RunRecord record("reconstruct", config_json(options, weights), 0);
+  if (!options.dry_run)
+    for (const fs::path& file : inputs) record.add_input(file);
+
+  Progress progress;
+  progress.update("read", 0);
+  const auto poll = [] {
+    if (interrupted()) throw Interrupted{};
+  };
+  const scene::UserScene user =
+      scene::scene_from_views(options.images, options.image_dirs, options.height_range, poll);
+  poll();
+  const scene::Scene& scene = user.scene;
+  note_range(user.range, progress);
+
+  const auto start = std::chrono::steady_clock::now();
+  reconstruct::ReconstructOptions how;
+  how.resolution = options.resolution;
+  if (options.mesh) how.mesh = options.voxel;
+  how.progress = [&](const std::string& stage, double fraction) {
+    poll();
+    progress.update(stage, fraction);
+  };
+  if (options.dry_run)
+    return print_plan(reconstruct::plan_reconstruction(model.config(), scene, how), user);
+  OutputFolder& folder = *staged;
+  const reconstruct::Reconstruction made = reconstruct::reconstruct(model, scene, how);
+  Summary summary;
+  summary.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  warn_of_fit(made, progress);
+
+  progress.update("write", 0);
+  write_surface(folder, made, scene.frame);
+  std::vector<mesh::HeightView> seen;
+  {
+    RenderedViews rendered = render_views(made, scene, options.mesh, progress);
+    write_pictures(folder, made, scene, rendered, progress);
+    seen = std::move(rendered.heights);
+  }
+  poll();
+  summary.heights = heights_found(made, scene.frame.h0, options.images);
+  if (options.mesh) {
+    progress.update("mesh", 0);
+    summary.mesh = write_mesh(folder / "mesh.ply", seen, made, scene.frame);
+    progress.update("mesh", 1);
+    poll();
+  }
+  record.results() = results_json(made, user, summary);
+  record.save(folder / "run.json");
+  folder.commit();
+  print_summary(made, scene, summary, options.out);
+}
+
+}  // namespace satsurf::app

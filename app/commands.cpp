@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/commands.h"
+
+#include "satsurf/app/record.h"
+#include "satsurf/core/error.h"
+#include "satsurf/core/version.h"
+
+#include <atomic>
+#include <cmath>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <system_error>
+
+namespace satsurf::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::atomic<int> signal_seen{0};
+
+}  // namespace
+
+void catch_interrupts() {
+  struct sigaction action {};
+  action.sa_handler = [](int signal) { signal_seen = signal; };
+  action.sa_flags = static_cast<int>(SA_RESETHAND);  // the second one kills
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+    struct sigaction before {};
+    sigaction(signal, nullptr, &before);
+    if (signal == SIGHUP && before.sa_handler == SIG_IGN) continue;  // nohup
+    sigaction(signal, &action, nullptr);
+  }
+}
+
+bool interrupted() { return signal_seen != 0; }
+int interrupt_signal() { return signal_seen; }
+
+fs::path find_shipped(const std::string& name, const std::string& what, const std::string& flag) {
+  std::error_code ignored;
+  const fs::path program = fs::read_symlink("/proc/self/exe", ignored).parent_path();
+  std::vector<fs::path> places{program.parent_path() / "share/satsurf" / name};
+  // a build tree lies inside the sources: build/PRESET/bin
+  fs::path up = program;
+  for (int level = 0; level < 3; ++level) up = up.parent_path();
+  places.push_back(up / "nn/weights" / name);
+  std::string looked;
+  for (const fs::path& place : places) {
+    if (fs::exists(place)) return place;
+    looked += (looked.empty() ? "" : ", ") + place.string();
+  }
+  throw IoError(what + ": none found, expected one of " + looked + "; give " + flag + " FILE");
+}
+
+fs::path find_weights(const fs::path& asked) {
+  if (!asked.empty()) return asked;
+  if (const char* named = std::getenv("SATSURF_WEIGHTS"); named != nullptr && *named != '\0')
+    return named;
+  return find_shipped("base8.safetensors", "weights", "--weights");
+}
+
+std::vector<std::string> frame_comments(const rpc::LocalFrame& frame) {
+  char origin[128];
+  std::snprintf(origin, sizeof origin, "origin %.17g %.17g %.17g", frame.easting0, frame.northing0,
+                frame.h0);
+  return {std::string("satsurf ") + program_version(),
+          "crs EPSG:" + std::to_string(frame.zone.epsg()), origin,
+          "x east, y north, z up in m from the origin: easting, northing, height above the WGS84 "
+          "ellipsoid"};
+}
+
+rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
+                                    const std::string& where) {
+  rpc::LocalFrame frame;
+  int epsg = 0;
+  bool has_origin = false;
+  for (const std::string& line : comments) {
+    int code = 0;
+    double e = 0, n = 0, h = 0;
+    if (std::sscanf(line.c_str(), "crs EPSG:%d", &code) == 1) epsg = code;
+    if (std::sscanf(line.c_str(), "origin %lf %lf %lf", &e, &n, &h) == 3) {
+      has_origin = std::isfinite(e) && std::isfinite(n) && std::isfinite(h);
+      frame.easting0 = e, frame.northing0 = n, frame.h0 = h;
+    }
+  }
+  const int number = epsg % 100;
+  if (!has_origin || (epsg / 100 != 326 && epsg / 100 != 327) || number < 1 || number > 60)
+    throw IoError(
+        where +
+        ": no frame in the header, expected comment lines `crs EPSG:326xx` and `origin E N H`");
+  frame.zone = {number, epsg / 100 == 326};
+  return frame;
+}
+
+void write_field(const fs::path& path, const Tensor& values, const scene::HeightField& grid,
+                 const rpc::LocalFrame& frame, double offset, const rpc::GeoTags& tags) {
+  Tensor out = values.clone();
+  for (float& v : out.values()) v = static_cast<float>(static_cast<double>(v) + offset);
+  rpc::write_geo_raster(
+      path, out,
+      {frame.zone.epsg(), grid.x0 + frame.easting0, grid.y0 + frame.northing0, grid.step}, tags);
+}
+
+}  // namespace satsurf::app

@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/preview.h"
+
+#include "satsurf/core/atomic_file.h"
+#include "satsurf/core/dims.h"
+#include "satsurf/core/error.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <OpenImageIO/color.h>
+#include <OpenImageIO/filesystem.h>
+#include <OpenImageIO/imagebuf.h>
+#include <OpenImageIO/imagebufalgo.h>
+#include <OpenImageIO/imageio.h>
+
+namespace satsurf::app {
+namespace {
+
+constexpr float kGrey = 0.5f;
+
+/// Value below which `share` of the finite elements lie.
+float percentile(std::vector<float>& values, double share) {
+  const auto at = static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1) + 0.5);
+  std::nth_element(values.begin(), values.begin() + at, values.end());
+  return values[static_cast<std::size_t>(at)];
+}
+
+/// Colours [H W] values that are already scaled to [0, 1]. `knots` are evenly spaced RGB triples;
+/// with none, the named map of OpenImageIO is used.
+Tensor coloured(const char* where, const Tensor& unit, const char* map,
+                const std::vector<float>& knots) {
+  Dims dim(where);
+  dim.match("map", unit, "H W");
+  const Index H = dim["H"], W = dim["W"], P = H * W;
+  Tensor out({3, H, W}, kGrey);
+  if (P == 0) return out;
+
+  Tensor filled = unit.clone();  // the colour map needs numbers everywhere
+  for (float& v : filled.values()) v = std::isfinite(v) ? std::clamp(v, 0.f, 1.f) : 0.f;
+  OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), 1, OIIO::TypeDesc::FLOAT);
+  const OIIO::ImageBuf source(spec, filled.data());
+  const OIIO::ImageBuf rgb =
+      knots.empty()
+          ? OIIO::ImageBufAlgo::color_map(source, 0, map)
+          : OIIO::ImageBufAlgo::color_map(source, 0, static_cast<int>(knots.size() / 3), 3, knots);
+  std::vector<float> pixels(static_cast<std::size_t>(3 * P));
+  if (rgb.has_error() ||
+      !rgb.get_pixels(OIIO::ROI(0, static_cast<int>(W), 0, static_cast<int>(H), 0, 1, 0, 3),
+                      OIIO::TypeDesc::FLOAT, pixels.data()))
+    throw Error(std::string(where) + ": " + rgb.geterror());
+  if (knots.empty())  // the library's maps are linear light, a PNG is not
+    for (float& v : pixels) v = OIIO::linear_to_sRGB(v);
+  for (Index i = 0; i < P; ++i)
+    if (std::isfinite(unit[i]))
+      for (Index c = 0; c < 3; ++c) out[c * P + i] = pixels[static_cast<std::size_t>(3 * i + c)];
+  return out;
+}
+
+}  // namespace
+
+Tensor height_picture(const Tensor& z) {
+  std::vector<float> known;
+  for (const float v : z.values())
+    if (std::isfinite(v)) known.push_back(v);
+  Tensor unit = z.clone();
+  if (!known.empty()) {
+    const float low = percentile(known, 0.02), high = percentile(known, 0.98);
+    const float span = std::max(high - low, 1e-3f);  // a flat surface has one colour
+    for (float& v : unit.values()) v = (v - low) / span;
+  }
+  return coloured("height_picture", unit, "viridis", {});
+}
+
+Tensor hillshade_picture(const Tensor& z, double step) {
+  Dims dim("hillshade_picture");
+  dim.match("z", z, "H W");
+  const Index H = dim["H"], W = dim["W"], P = H * W;
+  const double elevation = 45 * M_PI / 180, azimuth = 315 * M_PI / 180;
+  const double sun[3] = {std::cos(elevation) * std::sin(azimuth),
+                         std::cos(elevation) * std::cos(azimuth), std::sin(elevation)};
+  Tensor out({3, H, W}, kGrey);
+  for (Index i = 0; i < H; ++i)
+    for (Index j = 0; j < W; ++j) {
+      const float centre = z[i * W + j];
+      if (!std::isfinite(centre)) continue;
+      double q[3][3];
+      for (Index r = 0; r < 3; ++r)
+        for (Index c = 0; c < 3; ++c) {
+          const Index y = std::clamp<Index>(i + r - 1, 0, H - 1),
+                      x = std::clamp<Index>(j + c - 1, 0, W - 1);
+          const float v = z[y * W + x];
+          q[r][c] = static_cast<double>(std::isfinite(v) ? v : centre);
+        }
+      const double dx =
+          (q[0][2] + 2 * q[1][2] + q[2][2] - q[0][0] - 2 * q[1][0] - q[2][0]) / (8 * step);
+      const double dy =
+          (q[0][0] + 2 * q[0][1] + q[0][2] - q[2][0] - 2 * q[2][1] - q[2][2]) / (8 * step);
+      const double lit = (sun[2] - dx * sun[0] - dy * sun[1]) / std::sqrt(1 + dx * dx + dy * dy);
+      const auto shade = static_cast<float>(std::clamp(0.08 + 0.92 * std::max(0.0, lit), 0.0, 1.0));
+      for (Index c = 0; c < 3; ++c) out[c * P + i * W + j] = shade;
+    }
+  return out;
+}
+
+Tensor confidence_picture(const Tensor& confidence) {
+  return coloured("confidence_picture", confidence, "magma", {});
+}
+
+Tensor error_picture(const Tensor& error, double limit) {
+  Tensor unit = error.clone();
+  for (float& v : unit.values()) v = 0.5f + 0.5f * v / static_cast<float>(limit);
+  // blue - white - red, equally light at both ends
+  return coloured("error_picture", unit, "",
+                  {0.02f, 0.19f, 0.55f, 0.40f, 0.62f, 0.90f, 0.97f, 0.97f, 0.97f, 0.95f, 0.55f,
+                   0.40f, 0.60f, 0.02f, 0.10f});
+}
+
+void write_png(const std::filesystem::path& path, const Tensor& picture) {
+  const std::string where = "write_png: " + path.string();
+  const bool one = picture.rank() == 2;
+  Dims dim(where);
+  dim.match("picture", picture, one ? "H W" : "3 H W");
+  const Index H = dim["H"], W = dim["W"], C = one ? 1 : 3, P = H * W;
+  if (P == 0)
+    throw ShapeError(where + ": picture has shape " + picture.shape().str() + ", expected pixels");
+  std::vector<unsigned char> bytes(static_cast<std::size_t>(C * P));
+  for (Index i = 0; i < P; ++i)
+    for (Index c = 0; c < C; ++c) {
+      const float v = picture[c * P + i];
+      bytes[static_cast<std::size_t>(i * C + c)] = static_cast<unsigned char>(
+          255 * (std::isfinite(v) ? std::clamp(v, 0.f, 1.f) : kGrey) + 0.5f);
+    }
+
+  std::vector<unsigned char> encoded;
+  OIIO::Filesystem::IOVecOutput memory(encoded);
+  const std::unique_ptr<OIIO::ImageOutput> out = OIIO::ImageOutput::create("png");
+  if (!out) throw IoError(where + ": " + OIIO::geterror());
+  OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), static_cast<int>(C),
+                       OIIO::TypeDesc::UINT8);
+  spec.attribute("png:compressionLevel", 4);  // of a preview time counts more than bytes
+  out->set_ioproxy(&memory);
+  if (!out->open(path.filename().string(), spec) ||
+      !out->write_image(OIIO::TypeDesc::UINT8, bytes.data()) || !out->close())
+    throw IoError(where + ": " + out->geterror());
+  atomic_write(path,
+               std::string_view(reinterpret_cast<const char*>(encoded.data()), encoded.size()));
+}
+
+}  // namespace satsurf::app

@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/progress.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+namespace satsurf::app {
+namespace {
+
+constexpr double kLineEvery = 5;    // s between lines of a log
+constexpr double kDrawEvery = 0.1;  // s between redraws of a bar
+
+int terminal_columns() {
+  winsize size{};
+  return ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 0 ? size.ws_col : 80;
+}
+
+double seconds_between(std::chrono::steady_clock::time_point a,
+                       std::chrono::steady_clock::time_point b) {
+  return std::chrono::duration<double>(b - a).count();
+}
+
+}  // namespace
+
+std::string progress_line(const std::string& stage, double fraction, const std::string& detail,
+                          double seconds, int columns) {
+  constexpr int kBar = 24;
+  const double f = std::isfinite(fraction) ? std::clamp(fraction, 0.0, 1.0) : 0;
+  const int full = static_cast<int>(f * kBar);
+  char percent[16];
+  std::snprintf(percent, sizeof percent, "%3.0f %%", std::floor(100 * f));
+  std::string line = stage + " [" + std::string(static_cast<std::size_t>(full), '#') +
+                     std::string(static_cast<std::size_t>(kBar - full), '.') + "] " + percent;
+  if (!detail.empty()) line += "  " + detail;
+  if (f > 0 && f < 1 && seconds >= 1) {
+    const long left = std::lround(seconds * (1 - f) / f);
+    char text[32];
+    if (left >= 3600)
+      std::snprintf(text, sizeof text, "  %ld:%02ld:%02ld left", left / 3600, left / 60 % 60,
+                    left % 60);
+    else
+      std::snprintf(text, sizeof text, "  %ld:%02ld left", left / 60, left % 60);
+    line += text;
+  }
+  return line.substr(0, static_cast<std::size_t>(std::max(columns, 1)));
+}
+
+Progress::Progress()
+    : terminal_(isatty(STDERR_FILENO) == 1), last_drawn_(Clock::now()), last_line_(last_drawn_) {}
+
+Progress::~Progress() { end_stage(Clock::now()); }
+
+void Progress::end_stage(Clock::time_point now) {
+  if (drawn_) std::fputc('\n', stderr);
+  drawn_ = false;
+  if (stage_.empty()) return;
+  char text[64];
+  std::snprintf(text, sizeof text, ": %.2f s", seconds_between(stage_start_, now));
+  log_line(LogLevel::debug, stage_ + text);
+}
+
+void Progress::update(const std::string& stage, double fraction, const std::string& detail) {
+  const Clock::time_point now = Clock::now();
+  const bool new_stage = stage != stage_;
+  if (new_stage) {
+    end_stage(now);
+    stage_ = stage, stage_start_ = now;
+  }
+  const double seconds = seconds_between(stage_start_, now);
+  // a log gets lines only from work that takes a while
+  if (seconds_between(last_line_, now) >= kLineEvery) {
+    last_line_ = now;
+    log_line(LogLevel::info, progress_line(stage, fraction, detail, seconds, 200), !terminal_);
+  }
+  const bool due = seconds_between(last_drawn_, now) >= kDrawEvery || new_stage || fraction >= 1;
+  if (!terminal_ || !due || !stderr_shows(LogLevel::info)) return;
+  last_drawn_ = now;
+  std::fprintf(stderr, "\r\033[K%s",
+               progress_line(stage, fraction, detail, seconds, terminal_columns() - 1).c_str());
+  std::fflush(stderr);
+  drawn_ = true;
+}
+
+void Progress::note(const std::string& text, LogLevel level) {
+  if (drawn_) std::fputs("\r\033[K", stderr);
+  drawn_ = false;
+  log_line(level, text);
+}
+
+}  // namespace satsurf::app

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace satsurf::app {
+
+/// A number as results have it: null where it is NaN or infinite, which JSON has no words for.
+nlohmann::ordered_json json_number(double v);
+
+/// What a run depended on and what came of it: `run.json`. Given back as `--config run.json`, it
+/// repeats the run.
+class RunRecord {
+ public:
+  /// Starts the clock.
+  /// command  name of the sub-command
+  /// config   the effective configuration, defaults included
+  /// seed     of the run
+  RunRecord(std::string command, nlohmann::json config, std::uint64_t seed);
+
+  /// Notes size and SHA-256 of a file, or of every file below a folder; of each file once.
+  /// throws  IoError
+  void add_input(const std::filesystem::path& path);
+  /// Whatever the command has to say about its outcome.
+  nlohmann::json& results() { return results_; }
+
+  /// program, version, git, command, config, seed, host, isa, threads, started (UTC), wall_seconds,
+  /// peak_memory_bytes, peak_tensor_bytes, inputs [{path, bytes, sha256}], results.
+  nlohmann::ordered_json json() const;
+  /// Writes `json()`, whole or not at all.
+  /// throws  IoError
+  void save(const std::filesystem::path& path) const;
+
+ private:
+  struct Input {
+    std::string path;
+    std::uintmax_t bytes = 0;
+    std::string sha256;
+  };
+
+  std::string command_;
+  nlohmann::json config_, results_ = nlohmann::json::object();
+  std::uint64_t seed_;
+  std::vector<Input> inputs_;
+  std::chrono::system_clock::time_point started_;
+  std::chrono::steady_clock::time_point clock_;
+};
+
+/// The configuration in a JSON file: the file itself, or the `config` of a run record.
+/// throws  ConfigError, also where there is no such file
+nlohmann::json load_config(const std::filesystem::path& path);
+
+/// Whether a folder is what simulate, train or reconstruct left: it holds their run.json.
+bool holds_run(const std::filesystem::path& folder);
+
+}  // namespace satsurf::app

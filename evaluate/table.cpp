@@ -1,0 +1,120 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/evaluate/table.h"
+
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <utility>
+
+namespace satsurf::evaluate {
+namespace {
+
+void add_heights(TableRow& row, const std::string& group, const HeightScores& s) {
+  for (const auto& [name, value] : {std::pair<const char*, double>{"_mae", s.mae},
+                                    {"_rmse", s.rmse},
+                                    {"_median", s.median},
+                                    {"_nmad", s.nmad},
+                                    {"_pag1", s.pag1},
+                                    {"_pag2.5", s.pag2_5},
+                                    {"_pag7.5", s.pag7_5},
+                                    {"_completeness", s.completeness},
+                                    {"_pag1_compared", s.pag1_compared},
+                                    {"_pag2.5_compared", s.pag2_5_compared},
+                                    {"_pag7.5_compared", s.pag7_5_compared},
+                                    {"_truth_cells", static_cast<double>(s.truth)},
+                                    {"_compared_cells", static_cast<double>(s.compared)}})
+    row.push_back({group + name, value});
+}
+
+mesh::SurfaceScores none_compared() {
+  constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+  mesh::SurfaceScores out{.chamfer = kNone, .to_reference = kNone, .to_mesh = kNone, .f = {}};
+  for (mesh::FScore& f : out.f) f.precision = f.recall = f.f1 = kNone;
+  return out;
+}
+
+void add_mesh(TableRow& row, const std::string& group, const mesh::SurfaceScores& s) {
+  row.push_back({group + "_chamfer", s.chamfer});
+  row.push_back({group + "_to_reference", s.to_reference});
+  row.push_back({group + "_reference_to_mesh", s.to_mesh});
+  for (const auto& [name, f] : {std::pair<const char*, const mesh::FScore&>{"_f1_0.5", s.f[0]},
+                                {"_f1_1", s.f[1]},
+                                {"_f1_2.5", s.f[2]}})
+    row.push_back({group + name, f.f1});
+}
+
+/// A cell of CSV, in quotes where it has to be.
+std::string csv_cell(const std::string& text) {
+  if (text.find_first_of(",\"\r\n") == std::string::npos) return text;
+  std::string out = "\"";
+  for (const char c : text) out += c == '"' ? std::string("\"\"") : std::string(1, c);
+  return out + "\"";
+}
+
+}  // namespace
+
+TableRow row_of(const SceneScores& s) {
+  TableRow row;
+  add_heights(row, "dsm", s.dsm.registered);
+  add_heights(row, "mvs_source", s.mvs_source);
+  add_heights(row, "render_target", s.render_target);
+  for (std::size_t k = 0; k < kRegistrations.size(); ++k) {
+    const std::string group = std::string("dsm_") + kRegistrations[k];
+    add_heights(row, group, s.registered[k].scores);
+    row.push_back({group + "_east", s.registered[k].shift[0]});
+    row.push_back({group + "_north", s.registered[k].shift[1]});
+    row.push_back({group + "_up", s.registered[k].shift[2]});
+  }
+  for (std::size_t k = 0; k < kRegistrations.size(); ++k)
+    add_heights(row, std::string("dsm_filled_") + kRegistrations[k], s.registered[k].filled);
+  add_mesh(row, "mesh", s.mesh ? s.mesh->all : none_compared());
+  add_mesh(row, "mesh_without_walls", s.mesh ? s.mesh->without_walls : none_compared());
+  row.push_back({"mvs_source_rmse_per_view", s.mvs_source_rmse_per_view});
+  row.push_back({"render_target_psnr", s.target.psnr});
+  row.push_back({"render_target_psnr_fitted", s.target.psnr_fitted});
+  row.push_back({"render_target_ssim", s.target.ssim});
+  row.push_back({"render_target_ssim_conv", s.target.ssim_conv});
+  row.push_back({"render_target_lpips", s.target.lpips.value_or(std::nan(""))});
+  row.push_back({"render_target_covered", s.target_covered});
+  row.push_back({"seconds", s.seconds});
+  return row;
+}
+
+TableMean mean_of(const std::vector<SceneScores>& scores) {
+  TableMean mean;
+  for (const SceneScores& s : scores) {
+    const TableRow row = row_of(s);
+    if (mean.row.empty()) {
+      for (const auto& [name, value] : row) mean.row.push_back({name, 0});
+      mean.scenes.resize(row.size());
+    }
+    for (std::size_t k = 0; k < row.size(); ++k)
+      if (std::isfinite(row[k].second)) mean.row[k].second += row[k].second, mean.scenes[k] += 1;
+  }
+  for (std::size_t k = 0; k < mean.row.size(); ++k) {
+    double& value = mean.row[k].second;
+    value = mean.scenes[k] > 0 ? value / static_cast<double>(mean.scenes[k]) : std::nan("");
+  }
+  return mean;
+}
+
+std::string scores_csv(const std::vector<SceneScores>& scores) {
+  if (scores.empty()) return {};
+  std::string text = "scene";
+  for (const auto& [name, value] : row_of(scores[0])) text += "," + name;
+  text += "\n";
+  const auto add = [&text](const std::string& name, const TableRow& row) {
+    text += csv_cell(name);
+    for (const auto& [column, value] : row) {
+      char cell[32];
+      std::snprintf(cell, sizeof cell, ",%.8g", value);
+      text += std::isfinite(value) ? cell : ",";
+    }
+    text += "\n";
+  };
+  for (const SceneScores& s : scores) add(s.name, row_of(s));
+  add("mean", mean_of(scores).row);
+  return text;
+}
+
+}  // namespace satsurf::evaluate

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/quadratic.h"
+#include "satsurf/core/tensor.h"
+
+#include <vector>
+
+namespace satsurf::nn {
+
+/// One image window with its camera, in the local frame of the scene (x east, y north, z up, m).
+struct PosedImage {
+  Tensor rgb;                  ///< [3 H W] in [0, 1]
+  Tensor valid;                ///< [H W] 1 where the image has data, else 0
+  Quadratic local_from_pixel;  ///< (x px, y px, z m) -> (x, y) m
+  Quadratic pixel_from_local;  ///< (x, y, z) m -> px
+};
+
+/// An image by its own mean and deviation over the valid pixels of all channels, for dates differ in
+/// radiometry: what every network sees. Invalid pixels become 0, and an image without contrast stays
+/// near 0 instead of amplifying its noise.
+/// returns  [1 3 H W]
+template <class T>
+BasicTensor<T> standardised(const PosedImage& view);
+
+/// What the network is given: source views of one size, and the pixel transfer between any two of
+/// them.
+struct NetworkInput {
+  std::vector<PosedImage> sources;  ///< two or more, H and W multiples of `size_multiple`
+  /// [reference][source]: (x, y, z) -> px; the diagonal is unused.
+  std::vector<std::vector<Quadratic>> transfer;
+  double z_low = 0, z_high = 0;  ///< height range in the local frame, m
+};
+
+}  // namespace satsurf::nn

@@ -1,0 +1,296 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/scene/height_range.h"
+
+#include "satsurf/core/parallel.h"
+#include "satsurf/ops/resize.h"
+#include "satsurf/rpc/fit.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace satsurf::scene {
+namespace {
+
+constexpr Index kCoarse = 256;       // px, side of the images of the sweep
+constexpr Index kRadius = 3;         // px, half a correlation window
+constexpr double kAgreement = 0.75;  // correlation from which a match counts
+constexpr double kUnique = 0.1;      // by which the best height must beat every other peak
+constexpr Index kPatch = (2 * kRadius + 1) * (2 * kRadius + 1);  // px, the least that is believed
+/// Added to the percentiles, m: roofs and gullies smaller than a coarse window.
+constexpr double kMargin = 15;
+/// Valid pixels of a window that can be compared.
+constexpr float kWhole = 0.9f * static_cast<float>(kPatch);
+constexpr float kTexture = 1e-5f;  // variance of a window that is not flat
+constexpr Index kFewest = 100;     // matches that make a range believable
+
+/// Luminance at coarse resolution.
+struct Coarse {
+  Tensor grey, valid;  // [h w]
+  Index factor = 1;
+};
+
+Coarse coarse_of(const View& view, Index factor) {
+  const Index h = view.rgb.dim(1) / factor * factor, w = view.rgb.dim(2) / factor * factor;
+  Tensor grey({h, w}), valid({h, w});
+  const Index P = view.valid.count(), W = view.rgb.dim(2);
+  for (Index y = 0; y < h; ++y)
+    for (Index x = 0; x < w; ++x) {
+      const Index i = y * W + x;
+      grey[y * w + x] = (view.rgb[i] + view.rgb[P + i] + view.rgb[2 * P + i]) / 3;
+      valid[y * w + x] = view.valid[i];
+    }
+  return {area_downsample(Var(grey), factor).value(), area_downsample(Var(valid), factor).value(),
+          factor};
+}
+
+/// Sums over (2 r + 1)^2 windows by running sums; windows are cut at the border.
+Tensor box_sum(const Tensor& t) {
+  const Index H = t.dim(0), W = t.dim(1);
+  std::vector<double> integral(static_cast<std::size_t>((H + 1) * (W + 1)), 0);
+  const auto at = [&](Index y, Index x) -> double& {
+    return integral[static_cast<std::size_t>(y * (W + 1) + x)];
+  };
+  for (Index y = 0; y < H; ++y)
+    for (Index x = 0; x < W; ++x)
+      at(y + 1, x + 1) = static_cast<double>(t[y * W + x]) + at(y, x + 1) + at(y + 1, x) - at(y, x);
+  auto out = Tensor::uninitialised(t.shape());
+  for (Index y = 0; y < H; ++y)
+    for (Index x = 0; x < W; ++x) {
+      const Index y0 = std::max<Index>(0, y - kRadius), y1 = std::min(H, y + kRadius + 1),
+                  x0 = std::max<Index>(0, x - kRadius), x1 = std::min(W, x + kRadius + 1);
+      out[y * W + x] = static_cast<float>(at(y1, x1) - at(y0, x1) - at(y1, x0) + at(y0, x0));
+    }
+  return out;
+}
+
+/// Correlation of every window of `a` with `b` warped to it; -1 where `b` is not seen.
+Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, double z) {
+  const Index H = a.grey.dim(0), W = a.grey.dim(1), h = b.grey.dim(0), w = b.grey.dim(1);
+  Tensor n({H, W}), sa({H, W}), sb({H, W}), saa({H, W}), sbb({H, W}), sab({H, W});
+  for (Index i = 0; i < H * W; ++i) {
+    if (a.valid[i] < 1) continue;
+    const auto q = b_from_a(static_cast<double>(i % W), static_cast<double>(i / W), z);
+    const Index x = static_cast<Index>(std::floor(q[0])), y = static_cast<Index>(std::floor(q[1]));
+    if (x < 0 || y < 0 || x + 1 >= w || y + 1 >= h || b.valid[y * w + x] < 1) continue;
+    const float fx = static_cast<float>(q[0]) - static_cast<float>(x),
+                fy = static_cast<float>(q[1]) - static_cast<float>(y);
+    const float* p = b.grey.data() + y * w + x;
+    const float vb = (1 - fy) * ((1 - fx) * p[0] + fx * p[1]) +
+                     fy * ((1 - fx) * p[w] + fx * p[w + 1]),
+                va = a.grey[i];
+    n[i] = 1;
+    sa[i] = va;
+    sb[i] = vb;
+    saa[i] = va * va;
+    sbb[i] = vb * vb;
+    sab[i] = va * vb;
+  }
+  n = box_sum(n), sa = box_sum(sa), sb = box_sum(sb), saa = box_sum(saa), sbb = box_sum(sbb),
+  sab = box_sum(sab);
+  Tensor out({H, W}, -1.f);
+  for (Index i = 0; i < H * W; ++i) {
+    if (n[i] < kWhole) continue;
+    const float ma = sa[i] / n[i], mb = sb[i] / n[i], va = saa[i] / n[i] - ma * ma,
+                vb = sbb[i] / n[i] - mb * mb;
+    if (va < kTexture || vb < kTexture) continue;
+    out[i] = (sab[i] / n[i] - ma * mb) / std::sqrt(va * vb);
+  }
+  return out;
+}
+
+/// Heights of the believed pixels that lie in patches of kPatch or more whose neighbours differ by
+/// at most `step`. A chance match spreads over no more than the window it was found in.
+std::vector<float> heights_of_patches(const Tensor& where, std::vector<char> believed, Index H,
+                                      Index W, float step) {
+  std::vector<float> heights;
+  std::vector<Index> patch;
+  for (Index start = 0; start < H * W; ++start) {
+    if (!believed[static_cast<std::size_t>(start)]) continue;
+    patch.assign(1, start);
+    believed[static_cast<std::size_t>(start)] = 0;
+    for (std::size_t k = 0; k < patch.size(); ++k) {
+      const Index i = patch[k], y = i / W, x = i % W;
+      for (Index v = std::max<Index>(0, y - 1); v <= std::min(H - 1, y + 1); ++v)
+        for (Index u = std::max<Index>(0, x - 1); u <= std::min(W - 1, x + 1); ++u) {
+          const Index j = v * W + u;
+          if (!believed[static_cast<std::size_t>(j)] || std::abs(where[j] - where[i]) > step)
+            continue;
+          believed[static_cast<std::size_t>(j)] = 0;
+          patch.push_back(j);
+        }
+    }
+    if (static_cast<Index>(patch.size()) < kPatch) continue;
+    for (const Index i : patch) heights.push_back(where[i]);
+  }
+  return heights;
+}
+
+/// Lowest and highest height that is found more often than chance finds it. Chance matches are
+/// few and anywhere between z_low and z_high; what lies outside the middle nine tenths shows how
+/// few.
+std::pair<double, double> believable_span(std::vector<float> heights, double z_low, double z_high) {
+  constexpr double kBin = 10;           // m
+  constexpr double kLargestStep = 100;  // m with nothing in between; beyond it is another pattern
+  std::sort(heights.begin(), heights.end());
+  const double n = static_cast<double>(heights.size());
+  const auto percentile = [&](double q) {
+    return static_cast<double>(heights[static_cast<std::size_t>(q * (n - 1))]);
+  };
+  const double core_low = percentile(0.05), core_high = percentile(0.95);
+  std::map<Index, Index> count;  // by bin, outside the core
+  const auto bin_of = [](float z) {
+    return static_cast<Index>(std::floor(static_cast<double>(z) / kBin));
+  };
+  const auto outside = [&](float z) {
+    return static_cast<double>(z) < core_low || static_cast<double>(z) > core_high;
+  };
+  for (const float z : heights)
+    if (outside(z)) ++count[bin_of(z)];
+  // The median over all bins outside, most of which only chance fills.
+  std::vector<Index> sizes;
+  for (Index bin = bin_of(static_cast<float>(z_low)); bin <= bin_of(static_cast<float>(z_high));
+       ++bin)
+    if (const double middle = (static_cast<double>(bin) + 0.5) * kBin;
+        middle < core_low || middle > core_high)
+      sizes.push_back(count[bin]);
+  std::sort(sizes.begin(), sizes.end());
+  const double chance = sizes.empty() ? 0 : static_cast<double>(sizes[sizes.size() / 2]);
+  const auto believable = [&](float z) {
+    return static_cast<double>(count[bin_of(z)]) >= 0.0005 * n + 4 * chance;
+  };
+  double low = core_low, high = core_high;
+  for (auto z = heights.rbegin(); z != heights.rend(); ++z)  // downwards from the core
+    if (const double h = static_cast<double>(*z);
+        h < low && low - h <= kLargestStep && believable(*z))
+      low = h;
+  for (const float z : heights)
+    if (const double h = static_cast<double>(z);
+        h > high && h - high <= kLargestStep && believable(z))
+      high = h;
+  return {low, high};
+}
+
+std::string name_of(const View& view) { return view.file.empty() ? view.name : view.file.string(); }
+
+std::string names_of(const Scene& scene) {
+  std::string text;
+  for (std::size_t i = 0; i < scene.views.size(); ++i)
+    text += (i == 0 ? "" : i + 1 < scene.views.size() ? ", " : " and ") + name_of(scene.views[i]);
+  return text;
+}
+
+/// Windows of an image with enough contrast to be compared.
+Index textured_windows(const Coarse& c) {
+  Tensor product(c.grey.shape());
+  for (Index i = 0; i < c.grey.count(); ++i) product[i] = c.grey[i] * c.grey[i];
+  const Tensor sum = box_sum(c.grey), sum2 = box_sum(product), n = box_sum(c.valid);
+  Index textured = 0;
+  for (Index i = 0; i < c.grey.count(); ++i) {
+    if (n[i] < kWhole) continue;
+    const float mean = sum[i] / n[i];
+    textured += sum2[i] / n[i] - mean * mean >= kTexture ? 1 : 0;
+  }
+  return textured;
+}
+
+}  // namespace
+
+std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high,
+                                            const std::function<void()>& poll) {
+  if (!(z_high > z_low))
+    throw ConfigError("height range: " + std::to_string(z_low) + " to " + std::to_string(z_high) +
+                      " m, expected a positive span to search");
+  Index largest = 0;
+  for (const View& v : scene.views) largest = std::max({largest, v.rgb.dim(1), v.rgb.dim(2)});
+  const Index factor = std::max<Index>(1, (largest + kCoarse - 1) / kCoarse);
+  std::vector<Coarse> coarse;
+  for (const View& v : scene.views) {
+    coarse.push_back(coarse_of(v, factor));
+    if (const Index n = textured_windows(coarse.back()); n < kFewest)
+      throw Error(name_of(v) + ": " + std::to_string(n) + " windows with texture, expected " +
+                  std::to_string(kFewest) + " or more to compare with the other images");
+  }
+
+  const View& reference = scene.views[0];
+  const rpc::Window window{0, 0, static_cast<double>(reference.rgb.dim(2)),
+                           static_cast<double>(reference.rgb.dim(1))};
+  const rpc::HeightRange range{z_low + scene.frame.h0, z_high + scene.frame.h0};
+  const double f = static_cast<double>(factor);
+  std::vector<Quadratic> maps;
+  double parallax = 0;  // coarse px per m, the largest of all views
+  for (std::size_t j = 1; j < scene.views.size(); ++j) {
+    maps.push_back(rescale_pixels(
+        rpc::fit_transfer(reference.rpc, scene.views[j].rpc, scene.frame, window, range), f, f));
+    const auto jac =
+        maps.back().jacobian(window.width / 2 / f, window.height / 2 / f, 0.5 * (z_low + z_high));
+    parallax = std::max(parallax, std::hypot(jac[0][2], jac[1][2]));
+  }
+  // disparity between tried heights; correlation survives half of it
+  constexpr double kStepPx = 0.75;
+  const double span = z_high - z_low;
+  const Index steps = std::clamp<Index>(static_cast<Index>(span * parallax / kStepPx) + 1, 8, 2000);
+
+  const Index P = coarse[0].grey.count();
+  Tensor best({P}, -1.f), rival({P}, -1.f), where({P}, 0.f);
+  // heights this close belong to one peak
+  const double peak = 3 * span / static_cast<double>(steps);
+  // Pieces of rows would need the box sums' neighbours: parallel over heights instead, merged in
+  // order.
+  constexpr Index kBatch = 16;
+  for (Index first = 0; first < steps; first += kBatch) {
+    if (poll) poll();
+    const Index batch = std::min(kBatch, steps - first);
+    std::vector<Tensor> score(static_cast<std::size_t>(batch));
+    const auto height = [&](Index k) {
+      return z_low + span * (static_cast<double>(first + k) + 0.5) / static_cast<double>(steps);
+    };
+    for_each_index(batch, [&](Index k) {
+      Tensor sum({P}), count({P});
+      for (std::size_t j = 0; j < maps.size(); ++j) {
+        const Tensor c = correlation(coarse[0], coarse[j + 1], maps[j], height(k));
+        for (Index i = 0; i < P; ++i)
+          if (c[i] > -1.f) {
+            sum[i] += c[i];
+            count[i] += 1;
+          }
+      }
+      for (Index i = 0; i < P; ++i) sum[i] = count[i] > 0 ? sum[i] / count[i] : -1.f;
+      score[static_cast<std::size_t>(k)] = sum;
+    });
+    for (Index k = 0; k < batch; ++k)
+      for (Index i = 0; i < P; ++i) {
+        const float s = score[static_cast<std::size_t>(k)][i], z = static_cast<float>(height(k));
+        const bool same_peak = std::abs(z - where[i]) <= peak;
+        if (s > best[i]) {
+          if (!same_peak) rival[i] = best[i];
+          best[i] = s;
+          where[i] = z;
+        } else if (!same_peak && s > rival[i]) {
+          rival[i] = s;
+        }
+      }
+  }
+  const Index H = coarse[0].grey.dim(0), W = coarse[0].grey.dim(1);
+  std::vector<char> believed(static_cast<std::size_t>(P));
+  for (Index i = 0; i < P; ++i)
+    believed[static_cast<std::size_t>(i)] = best[i] >= kAgreement && best[i] - rival[i] >= kUnique;
+  std::vector<float> heights = heights_of_patches(where, believed, H, W, static_cast<float>(peak));
+  if (static_cast<Index>(heights.size()) < kFewest) {
+    char text[160];
+    std::snprintf(
+        text, sizeof text,
+        "%zu windows agree at any height from %.0f to %.0f m, expected %td or more; do the "
+        "cameras belong to the images?",
+        heights.size(), z_low + scene.frame.h0, z_high + scene.frame.h0, kFewest);
+    throw Error(names_of(scene) + ": " + text);
+  }
+  const auto [low, high] = believable_span(std::move(heights), z_low, z_high);
+  return {low - kMargin, high + kMargin};
+}
+
+}  // namespace satsurf::scene

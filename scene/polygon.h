@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <vector>
+
+namespace satsurf::scene {
+
+/// A convex polygon on the ground, m, counter-clockwise.
+using Polygon = std::vector<std::array<double, 2>>;
+
+/// m2.
+double polygon_area(const Polygon& polygon);
+/// throws  Error for a polygon without area
+std::array<double, 2> polygon_centroid(const Polygon& polygon);
+/// The part of `a` inside `b`; empty if they do not meet.
+/// Source: Sutherland and Hodgman 1974.
+Polygon intersect(const Polygon& a, const Polygon& b);
+/// The same polygon with its corners in that order, whichever way round they came.
+Polygon counter_clockwise(Polygon corners);
+
+}  // namespace satsurf::scene

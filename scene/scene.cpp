@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/scene/scene.h"
+
+namespace satsurf::scene {
+
+View view_of(const rpc::Image& image, const std::filesystem::path& file) {
+  View view;
+  view.name = image.info.path.stem().string();
+  view.rgb = rpc::to_rgb(image);
+  view.valid = image.valid;
+  view.rpc = *image.info.rpc;
+  view.sun_elevation_deg = image.info.sun_elevation_deg.value_or(0);
+  view.sun_azimuth_deg = image.info.sun_azimuth_deg.value_or(0);
+  view.date = image.info.acquisition_date.value_or("");
+  view.file = file;
+  return view;
+}
+
+}  // namespace satsurf::scene

@@ -1,0 +1,452 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/scene/simulate/city.h"
+
+#include "satsurf/core/parallel.h"
+#include "satsurf/scene/simulate/layout.h"
+#include "satsurf/scene/simulate/noise.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace satsurf::scene::simulate {
+namespace {
+
+constexpr Index kBand = 32;  // rows painted at a time
+
+// Deviation of the reflectance from its mean, relative: per cell, below 2 m, 2 to 16 m, and wider.
+struct Texture {
+  float grain, fine, middle, wide;
+};
+
+Texture texture_of(Material m) {
+  switch (m) {
+    case Material::asphalt:
+      return {0.05f, 0.05f, 0.09f, 0.12f};
+    case Material::concrete:
+      return {0.05f, 0.07f, 0.10f, 0.08f};
+    case Material::grass:
+      return {0.12f, 0.16f, 0.20f, 0.18f};
+    case Material::soil:
+      return {0.09f, 0.13f, 0.16f, 0.16f};
+    case Material::rock:
+      return {0.14f, 0.28f, 0.22f, 0.20f};
+    case Material::field:
+      return {0.08f, 0.10f, 0.10f, 0.10f};
+    case Material::tree:
+      return {0.20f, 0.30f, 0.05f, 0.05f};
+    case Material::roof:
+      return {0.025f, 0.02f, 0.07f, 0.02f};
+    case Material::water:
+    case Material::car:
+      return {0, 0, 0, 0};
+  }
+  return {};
+}
+
+// Share of a cell that a line of the given half width covers, `d` from its axis.
+float line_cover(float d, float half_width, float step) {
+  return std::clamp((half_width - std::abs(d)) / step + 0.5f, 0.0f,
+                    std::min(1.0f, 2 * half_width / step));
+}
+
+void mix(Colour& c, const Colour& with, float share) {
+  for (std::size_t k = 0; k < 3; ++k) c[k] += share * (with[k] - c[k]);
+}
+
+class Painter {
+ public:
+  Painter(City& city, const Layout& layout, const Rng& rng)
+      : city_(city),
+        layout_(layout),
+        N_(layout.plan.size),
+        step_(static_cast<float>(layout.plan.step)),
+        half_(layout.half_side()),
+        seed_(static_cast<std::uint32_t>(rng.fork(1).next_u64())) {
+    fine_ = noise(1.3, 2, 0.8f, 11);
+    middle_ = noise(14, 3, 0.7f, 12);
+    wide_ = noise(90, 2, 0.6f, 13);
+    Rng r = rng.fork(2);
+    rock_share_ = static_cast<float>(r.uniform(-0.3, 0.9));
+    green_share_ = static_cast<float>(r.uniform(-0.4, 0.8));
+    bumps_ = static_cast<float>(layout.plan.kind == "rough" ? r.uniform(0.05, 0.4)
+                                                            : r.uniform(0.0, 0.08));
+    const float b = static_cast<float>(r.uniform(0.35, 1.2)), dry = static_cast<float>(r.uniform());
+    wild_soil_ = {0.25f * b * static_cast<float>(r.uniform(0.95, 1.25)), 0.20f * b, 0.15f * b};
+    wild_rock_ = {0.30f * b, 0.285f * b, 0.26f * b};
+    wild_grass_ = {0.085f + 0.10f * dry, 0.10f + 0.075f * dry, 0.055f + 0.05f * dry};
+    lane_colour_ =
+        r.chance(0.4) ? Colour{0.13f, 0.13f, 0.132f}
+                      : Colour{1.25f * wild_soil_[0], 1.25f * wild_soil_[1], 1.25f * wild_soil_[2]};
+  }
+
+  void run() {
+    city_.field.z = Tensor::uninitialised({N_, N_});
+    city_.cells.resize(static_cast<std::size_t>(N_ * N_));
+    for_range(N_, kBand, [&](Index begin, Index end) {
+      for (Index i = begin; i < end; ++i) {
+        for (Index j = 0; j < N_; ++j) paint_ground(i, j);
+      }
+      for (std::size_t k = 0; k < city_.parts.size(); ++k) paint_part(k, begin, end);
+      for (const Tree& t : layout_.trees) paint_tree(t, begin, end);
+      for (const Car& c : layout_.cars) paint_car(c, begin, end);
+    });
+    finish();
+  }
+
+ private:
+  Tensor noise(double period, int octaves, float gain, std::uint64_t key) const {
+    return fractal_noise(N_, N_, layout_.plan.step,
+                         {.period = period,
+                          .octaves = octaves,
+                          .gain = gain,
+                          .seed = hash(static_cast<std::int32_t>(key), 0, seed_)});
+  }
+  float x_of(Index j) const { return (static_cast<float>(j) + 0.5f) * step_ - half_; }
+  float y_of(Index i) const { return half_ - (static_cast<float>(i) + 0.5f) * step_; }
+
+  void put(Index i, Index j, float z, const Colour& c, Material m, std::uint16_t part,
+           float extra = 0) {
+    const Index k = i * N_ + j;
+    const Texture t = texture_of(m);
+    const float f =
+        1 + extra +
+        t.grain * bell(hash(static_cast<std::int32_t>(i), static_cast<std::int32_t>(j), seed_)) +
+        t.fine * fine_[k] + t.middle * middle_[k] + t.wide * wide_[k];
+    SurfaceCell& cell = city_.cells[static_cast<std::size_t>(k)];
+    for (std::size_t b = 0; b < 3; ++b) {
+      cell.albedo[b] = static_cast<std::uint16_t>(
+          65535.0f * std::clamp(c[b] * std::max(f, 0.15f), 0.005f, 0.95f));
+    }
+    cell.material = m;
+    cell.part = part;
+    city_.field.z[k] = z;
+  }
+
+  void paint_ground(Index i, Index j) {
+    const Index k = i * N_ + j;
+    const float x = x_of(j), y = y_of(i), z = layout_.terrain[k];
+    if (!layout_.shore.empty() && layout_.shore[k] < 0) {
+      return put(i, j, layout_.water_height, {0.03f, 0.045f, 0.05f}, Material::water, 0);
+    }
+    if (!layout_.lane.empty() && std::abs(layout_.lane[k]) < layout_.lane_half_width) {
+      const float d = std::abs(layout_.lane[k]) - 0.45f * layout_.lane_half_width;
+      return put(i, j, z, lane_colour_, Material::asphalt, 0, 0.12f * line_cover(d, 0.4f, step_));
+    }
+    const Streets& s = layout_.streets;
+    const float u = s.u_of(x, y), v = s.v_of(x, y);
+    const std::size_t iu = interval(s.u_lines, u), iv = interval(s.v_lines, v);
+    const auto signed_distance = [](const std::vector<float>& lines, std::size_t n, float at) {
+      return at - lines[n] < lines[n + 1] - at ? at - lines[n] : at - lines[n + 1];
+    };
+    const float du = signed_distance(s.u_lines, iu, u), dv = signed_distance(s.v_lines, iv, v);
+    const float across = std::min(std::abs(du), std::abs(dv)),
+                other = std::max(std::abs(du), std::abs(dv));
+    if (across < s.half_width) {
+      Colour c = s.colour;
+      if (s.marked && other > s.half_width + 1) {
+        const float along = std::abs(du) < std::abs(dv) ? v : u;
+        const bool dash = along - 6 * std::floor(along / 6) < 3;
+        if (dash) mix(c, {0.5f, 0.5f, 0.48f}, 0.8f * line_cover(across, 0.1f, step_));
+        mix(c, {0.5f, 0.5f, 0.48f}, 0.6f * line_cover(across - s.half_width + 0.5f, 0.07f, step_));
+        // Stop bars and crossings.
+        if (other < s.half_width + 4.5f && other > s.half_width + 1.5f && s.half_width > 5) {
+          const float bar = across / 1.2f - std::floor(across / 1.2f);
+          if (bar < 0.5f) mix(c, {0.5f, 0.5f, 0.48f}, 0.55f);
+        }
+      }
+      return put(i, j, z, c, Material::asphalt, 0);
+    }
+    if (across < s.half_width + s.pavement) {
+      return put(i, j, z + 0.12f, {0.30f, 0.29f, 0.265f}, Material::concrete, 0);
+    }
+    const Block& b = layout_.blocks[iv * (s.u_lines.size() - 1) + iu];
+    paint_block(i, j, z, u, v, b);
+  }
+
+  void paint_block(Index i, Index j, float z, float u, float v, const Block& b) {
+    const Index k = i * N_ + j;
+    const float along = b.rows_along_u ? u - b.u0 : v - b.v0,
+                across = b.rows_along_u ? v - b.v0 : u - b.u0;
+    const float length = b.rows_along_u ? b.u1 - b.u0 : b.v1 - b.v0,
+                width = b.rows_along_u ? b.v1 - b.v0 : b.u1 - b.u0;
+    switch (b.ground) {
+      case Ground::paved: {
+        // Yards: rectangular patches of different age and colour, some of them grass.
+        const auto pu = static_cast<std::int32_t>(std::floor(u / 17)),
+                   pv = static_cast<std::int32_t>(std::floor(v / 13));
+        const std::uint32_t h = hash(pu, pv, b.seed);
+        if ((h & 15u) == 0) return put(i, j, z, {0.085f, 0.11f, 0.05f}, Material::grass, 0);
+        return put(i, j, z, b.colour, Material::concrete, 0, 0.22f * (unit(h) - 0.5f));
+      }
+      case Ground::parking: {
+        Colour c = b.colour;
+        // two stalls of 5.2 m and an aisle
+        const float row = across - 3 - 16 * std::floor((across - 3) / 16);
+        if (across > 3 && across - row + 13.5f < width && row < 10.6f && along > 3 &&
+            along < length - 3) {
+          const float stall = (along - 3) / b.row_period;
+          const float d = (stall - std::round(stall)) * b.row_period;
+          mix(c, {0.5f, 0.5f, 0.48f}, 0.75f * line_cover(d, 0.08f, step_));
+          mix(c, {0.5f, 0.5f, 0.48f}, 0.75f * line_cover(row - 5.2f, 0.08f, step_));
+        }
+        return put(i, j, z, c, Material::asphalt, 0);
+      }
+      case Ground::lawn: {
+        const float bare = middle_[k] + 0.7f * wide_[k] - 0.75f;
+        Colour c = b.colour;
+        if (bare > 0) mix(c, wild_soil_, std::min(1.0f, 2.5f * bare));
+        return put(i, j, z + 0.06f * fine_[k], c, Material::grass, 0);
+      }
+      case Ground::bare:
+        return put(i, j, z + 0.10f * middle_[k] + 0.04f * fine_[k], b.colour, Material::soil, 0);
+      case Ground::crop: {
+        const float row = across / b.row_period, wave = std::sin(6.2832f * row);
+        const float height = b.colour[1] > b.colour[0] * 0.95f ? 0.5f : 0.12f;
+        return put(i, j, z + 0.5f * height * wave, b.colour, Material::field, 0, 0.16f * wave);
+      }
+      case Ground::wild:
+        break;
+    }
+    const float rock = middle_[k] + 0.8f * wide_[k] + 0.5f * fine_[k] +
+                       1.2f * (steepness(i, j) - 0.45f) - rock_share_;
+    const float green = 0.8f * middle_[k] + wide_[k] - 0.3f * fine_[k] - green_share_;
+    Colour c = wild_soil_;
+    mix(c, wild_grass_, std::clamp(3 * green + 0.5f, 0.0f, 1.0f));
+    const float stone = std::clamp(3 * rock, 0.0f, 1.0f);
+    mix(c, wild_rock_, stone);
+    put(i, j, z + bumps_ * (fine_[k] + 0.6f * middle_[k]) * (0.4f + stone), c,
+        stone > 0.5f ? Material::rock
+        : green > 0  ? Material::grass
+                     : Material::soil,
+        0);
+  }
+
+  float steepness(Index i, Index j) const {
+    const Index up = std::max(i - 2, Index{0}), down = std::min(i + 2, N_ - 1);
+    const Index left = std::max(j - 2, Index{0}), right = std::min(j + 2, N_ - 1);
+    const float gx = layout_.terrain[i * N_ + right] - layout_.terrain[i * N_ + left];
+    const float gy = layout_.terrain[up * N_ + j] - layout_.terrain[down * N_ + j];
+    return std::sqrt(gx * gx + gy * gy) / (4 * step_);
+  }
+
+  static std::size_t interval(const std::vector<float>& lines, float at) {
+    const auto it = std::upper_bound(lines.begin() + 1, lines.end() - 1, at);
+    return static_cast<std::size_t>(it - lines.begin()) - 1;
+  }
+
+  // Calls body(i, j, along, across) for the cells of a band within an upright rectangle around (x,
+  // y).
+  template <class Body>
+  void for_footprint(float x, float y, float c, float s, float a, float b, Index begin, Index end,
+                     const Body& body) {
+    const float rx = std::abs(a * c) + std::abs(b * s), ry = std::abs(a * s) + std::abs(b * c);
+    const Index i0 = std::max(begin, static_cast<Index>(std::floor((half_ - y - ry) / step_)));
+    const Index i1 = std::min(end, static_cast<Index>(std::floor((half_ - y + ry) / step_)) + 1);
+    const Index j0 = std::max(Index{0}, static_cast<Index>(std::floor((x - rx + half_) / step_)));
+    const Index j1 = std::min(N_, static_cast<Index>(std::floor((x + rx + half_) / step_)) + 1);
+    for (Index i = i0; i < i1; ++i) {
+      const float dy = y_of(i) - y;
+      for (Index j = j0; j < j1; ++j) {
+        const float dx = x_of(j) - x, along = dx * c + dy * s, across = dy * c - dx * s;
+        if (std::abs(along) <= a && std::abs(across) <= b) body(i, j, along, across);
+      }
+    }
+  }
+
+  static float roof_height(const Part& p, float along, float across) {
+    const float to_long_edge = p.b - std::abs(across), to_short_edge = p.a - std::abs(along);
+    switch (p.roof) {
+      case Roof::flat: {
+        const float q = (along * along) / (p.a * p.a) + (across * across) / (p.b * p.b);
+        const float edge =
+            p.round ? (1 - std::sqrt(q)) * p.a : std::min(to_long_edge, to_short_edge);
+        return edge < 0.45f ? p.rise : 0.0f;
+      }
+      case Roof::gable:
+        return p.rise * to_long_edge / p.b;
+      case Roof::hip:
+        return p.rise * std::min(to_long_edge, to_short_edge) / std::min(p.a, p.b);
+      case Roof::shed:
+        return p.rise * 0.5f * (across / p.b + 1);
+      case Roof::barrel:
+        return p.rise * std::sqrt(std::max(0.0f, 1 - across * across / (p.b * p.b)));
+      case Roof::sawtooth:
+        return p.rise * (along / 7 - std::floor(along / 7));
+    }
+    return 0;
+  }
+
+  // Relative change of a roof's reflectance by its covering.
+  float roof_pattern(const Part& p, float along, float across, Index i, Index j) const {
+    const auto wrap = [](float t) { return t - std::floor(t); };
+    switch (p.pattern) {
+      case RoofPattern::plain:
+        return 0;
+      case RoofPattern::gravel: {
+        return 0.10f *
+                   bell(hash(static_cast<std::int32_t>(i), static_cast<std::int32_t>(j), p.seed)) +
+               0.08f * fine_[i * N_ + j];
+      }
+      case RoofPattern::seams:
+        return wrap(along / p.pattern_period) < 0.35f ? -0.12f : 0.05f;
+      case RoofPattern::tiles: {
+        const auto row = static_cast<std::int32_t>(std::floor(across / p.pattern_period));
+        const auto col = static_cast<std::int32_t>(std::floor(along / p.pattern_period));
+        return 0.16f * (unit(hash(col, row, p.seed)) - 0.5f) +
+               (wrap(across / (2 * p.pattern_period)) < 0.5f ? -0.06f : 0.06f);
+      }
+      case RoofPattern::sheets: {
+        const auto row = static_cast<std::int32_t>(std::floor(across / p.pattern_period));
+        const auto col = static_cast<std::int32_t>(std::floor(along / (1.7f * p.pattern_period)));
+        const float joint =
+            std::min(std::abs(wrap(across / p.pattern_period + 0.5f) - 0.5f) * p.pattern_period,
+                     std::abs(wrap(along / (1.7f * p.pattern_period) + 0.5f) - 0.5f) * 1.7f *
+                         p.pattern_period);
+        return 0.14f * (unit(hash(col, row, p.seed)) - 0.5f) -
+               0.12f * line_cover(joint, 0.1f, step_);
+      }
+      case RoofPattern::panels: {  // rows of solar modules
+        const float row = wrap(across / 3), col = wrap(along / 1.1f);
+        return row < 0.65f ? (col < 0.1f ? -0.45f : -0.75f) : 0.05f;
+      }
+    }
+    return 0;
+  }
+
+  void paint_part(std::size_t n, Index begin, Index end) {
+    const Part& p = city_.parts[n];
+    for_footprint(p.x, p.y, p.cos, p.sin, p.a, p.b, begin, end,
+                  [&](Index i, Index j, float along, float across) {
+                    if (p.round && along * along / (p.a * p.a) + across * across / (p.b * p.b) > 1)
+                      return;
+                    const float lift = roof_height(p, along, across), z = p.eave + lift;
+                    if (z <= city_.field.z[i * N_ + j]) return;
+                    const bool parapet = p.roof == Roof::flat && lift > 0;
+                    put(i, j, z, parapet ? p.parapet_colour : p.roof_colour, Material::roof,
+                        static_cast<std::uint16_t>(n + 1),
+                        parapet ? 0.0f : roof_pattern(p, along, across, i, j));
+                  });
+  }
+
+  void paint_tree(const Tree& t, Index begin, Index end) {
+    const bool conifer = (t.seed & 1u) != 0;
+    const float reach = 1.15f * t.radius;
+    for_footprint(
+        t.x, t.y, 1, 0, reach, reach, begin, end, [&](Index i, Index j, float dx, float dy) {
+          const Index k = i * N_ + j;
+          const SurfaceCell& under = city_.cells[static_cast<std::size_t>(k)];
+          if (under.part != 0) return;  // trees next to a house are cut back
+          // Crowns are ragged; the floor keeps large negative noise from turning them inside out.
+          const float ragged = std::max(0.25f, 1 + 0.38f * fine_[k] + 0.40f * middle_[k]);
+          const float q = (dx * dx + dy * dy) / (t.radius * t.radius) * ragged;
+          if (q >= 1) return;
+          const float dome = conifer ? 1 - std::sqrt(q) : std::sqrt(1 - q);
+          const float z = t.base + t.height * (0.35f + 0.65f * dome) * (1 + 0.06f * fine_[k]);
+          if (z <= city_.field.z[k]) return;
+          put(i, j, z, t.colour, t.material, 0, 0.35f * (dome - 0.6f));
+        });
+  }
+
+  void paint_car(const Car& c, Index begin, Index end) {
+    const float a = 0.5f * c.length, b = c.length > 5.5f ? 1.15f : 0.9f,
+                tall = c.length > 5.5f ? 2.8f : 1.45f;
+    for_footprint(
+        c.x, c.y, c.cos, c.sin, a, b, begin, end, [&](Index i, Index j, float along, float) {
+          const Index k = i * N_ + j;
+          if (city_.cells[static_cast<std::size_t>(k)].part != 0) return;
+          const float nose = std::abs(along) / a;
+          const bool glass = c.length <= 5.5f && nose > 0.35f && nose < 0.6f;
+          const float z =
+              layout_.terrain[k] + (nose > 0.6f && c.length <= 5.5f ? 0.65f * tall : tall);
+          put(i, j, std::max(z, city_.field.z[k]), glass ? Colour{0.04f, 0.045f, 0.05f} : c.colour,
+              Material::car, 0);
+        });
+  }
+
+  // Slopes within each surface, and how much of the sky is hidden by what stands around.
+  void finish() {
+    const Tensor near = box_mean(city_.field.z, static_cast<Index>(std::lround(4.0f / step_)));
+    const Tensor far = box_mean(near, static_cast<Index>(std::lround(9.0f / step_)));
+    const float steepest = 3.0f * step_;
+    for_range(N_, kBand, [&](Index begin, Index end) {
+      for (Index i = begin; i < end; ++i) {
+        for (Index j = 0; j < N_; ++j) {
+          const Index k = i * N_ + j;
+          SurfaceCell& cell = city_.cells[static_cast<std::size_t>(k)];
+          const float z = city_.field.z[k];
+          const auto slope = [&](Index before, Index after) {
+            float sum = 0, count = 0;
+            for (const Index other : {before, after}) {
+              if (other < 0) continue;
+              const SurfaceCell& o = city_.cells[static_cast<std::size_t>(other)];
+              const float dz = city_.field.z[other] - z;
+              const bool same = o.part == cell.part &&
+                                (o.material == Material::tree) == (cell.material == Material::tree);
+              if (!same || std::abs(dz) > steepest) continue;
+              sum += other == after ? dz : -dz;
+              count += 1;
+            }
+            const float g = count > 0 ? sum / (count * step_) : 0.0f;
+            return static_cast<std::int16_t>(std::lround(4096.0f * std::clamp(g, -4.0f, 4.0f)));
+          };
+          cell.slope_x = slope(j > 0 ? k - 1 : -1, j + 1 < N_ ? k + 1 : -1);
+          cell.slope_y = slope(i + 1 < N_ ? k + N_ : -1, i > 0 ? k - N_ : -1);
+          const float hidden =
+              0.09f * std::max(0.0f, near[k] - z) + 0.05f * std::max(0.0f, far[k] - z);
+          cell.sky = static_cast<std::uint8_t>(255.0f / (1 + hidden));
+        }
+      }
+    });
+  }
+
+  City& city_;
+  const Layout& layout_;
+  Index N_;
+  float step_, half_;
+  std::uint32_t seed_;
+  Tensor fine_, middle_, wide_;
+  float rock_share_, green_share_, bumps_;
+  Colour wild_soil_{}, wild_rock_{}, wild_grass_{}, lane_colour_{};
+};
+
+}  // namespace
+
+City make_city(const CityPlan& plan, const Rng& rng) {
+  Layout layout;
+  layout.plan = plan;
+  shape_ground(layout, rng.fork(1));
+  furnish(layout, rng.fork(2));
+  if (layout.parts.size() > 65000) layout.parts.resize(65000);  // what SurfaceCell::part can number
+
+  City city;
+  city.field = {.z = {}, .x0 = plan.x0, .y0 = plan.y0, .step = plan.step};
+  const double half = 0.5 * plan.step * static_cast<double>(plan.size);
+  city.centre_x = plan.x0 + half;
+  city.centre_y = plan.y0 - half;
+  city.parts = std::move(layout.parts);
+  city.visitors = std::move(layout.visitors);
+  Painter(city, layout, rng.fork(3)).run();
+  return city;
+}
+
+Tensor classes_of(const City& city) {
+  auto out = Tensor::uninitialised(city.field.z.shape());
+  for (Index k = 0; k < out.count(); ++k) {
+    switch (city.cells[static_cast<std::size_t>(k)].material) {
+      case Material::tree:
+        out[k] = 5;
+        break;
+      case Material::roof:
+        out[k] = 6;
+        break;
+      case Material::water:
+        out[k] = 9;
+        break;
+      default:
+        out[k] = 2;
+    }
+  }
+  return out;
+}
+
+}  // namespace satsurf::scene::simulate

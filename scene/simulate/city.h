@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/rng.h"
+#include "satsurf/scene/raycast.h"
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace satsurf::scene::simulate {
+
+using Colour = std::array<float, 3>;  ///< reflectance of red, green, blue
+
+/// What a column is made of.
+enum class Material : std::uint8_t {
+  asphalt,
+  concrete,
+  grass,
+  soil,
+  rock,
+  field,
+  water,
+  roof,
+  tree,
+  car
+};
+
+/// The form of a roof.
+enum class Roof : std::uint8_t { flat, gable, hip, shed, barrel, sawtooth };
+/// What a roof looks like from above.
+enum class RoofPattern : std::uint8_t { plain, gravel, seams, tiles, sheets, panels };
+
+/// An upright solid with a rectangular or elliptic plan. Buildings are made of one or several of
+/// these.
+struct Part {
+  float x, y;        ///< centre, m from the centre of the field
+  float cos, sin;    ///< direction of its first axis
+  float a, b;        ///< half extents along its two axes, m
+  float base, eave;  ///< local heights of the lowest ground under it and of the foot of its roof
+  bool round = false;
+  Roof roof = Roof::flat;
+  float rise = 0;  ///< of the ridge above the eave, or of the parapet, m
+  RoofPattern pattern = RoofPattern::plain;
+  float pattern_period = 1;
+  Colour roof_colour{}, wall_colour{}, parapet_colour{};
+  float storey = 3.2f, window_pitch = 3.0f, window_share = 0.5f;  ///< share 0: a blank wall
+  bool ribbon_windows = false;
+  std::uint32_t seed = 0;
+};
+
+/// A tree, or a boulder.
+struct Tree {
+  float x, y, radius, height, base;  ///< m; x and y from the centre of the field, base local
+  Colour colour;
+  std::uint32_t seed;                  ///< odd: a cone, else a dome
+  Material material = Material::tree;  ///< or rock: a boulder
+};
+
+/// A car on the ground.
+struct Car {
+  float x, y, cos, sin, length;  ///< m from the centre of the field; direction
+  Colour colour;
+};
+
+/// What a column of the height field looks like from above.
+struct SurfaceCell {
+  std::array<std::uint16_t, 3> albedo;    ///< reflectance * 65535
+  std::uint16_t part = 0;                 ///< 1 + index of the part, 0 for none
+  std::int16_t slope_x = 0, slope_y = 0;  ///< dz/dx, dz/dy * 4096
+  Material material = Material::soil;
+  std::uint8_t sky = 255;  ///< share of the sky that is visible * 255
+  std::uint16_t spare = 0;
+};
+
+/// What a scene is to contain; heights are local, m.
+struct CityPlan {
+  std::string kind = "city";  ///< city, suburb, industrial, village, rural, rough
+  double relief = 5;          ///< the ground stays within +-relief
+  double tallest = 30;        ///< nothing rises higher above the ground
+  bool water = false;
+  double x0 = 0, y0 = 0, step = 0.25;  ///< grid of the height field
+  Index size = 1024;                   ///< its rows and columns
+};
+
+/// A scene before any camera has seen it.
+struct City {
+  HeightField field;
+  std::vector<SurfaceCell> cells;  ///< row by row as the field
+  std::vector<Part> parts;
+  /// Cars that may be there on one date and not on another; not in the field.
+  std::vector<Car> visitors;
+  double centre_x = 0, centre_y = 0;
+
+  const SurfaceCell& cell(Index row, Index col) const {
+    return cells[static_cast<std::size_t>(row * field.z.dim(1) + col)];
+  }
+};
+
+/// Makes up a scene: a pure function of its arguments.
+City make_city(const CityPlan& plan, const Rng& rng);
+
+/// Classes of the DFC2019 truth for every cell: 2 ground, 5 trees, 6 building, 9 water.
+/// returns  [H W]
+Tensor classes_of(const City& city);
+
+}  // namespace satsurf::scene::simulate

@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/fields.h"
+#include "satsurf/rpc/frame.h"
+#include "satsurf/rpc/model.h"
+#include "satsurf/scene/raycast.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace satsurf::scene {
+
+/// Which scenes to make up.
+struct SimulateConfig {
+  Index scenes = 8;
+  std::uint64_t seed = 0;
+  Index pixels = 512;  ///< rows and columns of every image
+  Index views = 5;
+  double gsd = 0;  ///< m; 0 draws 0.3 to 0.6 for each scene
+  std::vector<std::string> kinds{"city", "suburb", "industrial", "village", "rural", "rough"};
+  double relief_max = 60;     ///< m
+  double tallest_max = 60;    ///< m
+  double water = 0.15;        ///< share of the scenes
+  double panchromatic = 0.4;  ///< share of the scenes
+  double same_pass = 0.4;     ///< share of the scenes
+  double off_nadir_min_deg = 5, off_nadir_max_deg = 32;
+  double parallax_min = 0.3, parallax_max = 2;  ///< px per m, between any two views
+  double bias_px = 0;   ///< largest shift of the given cameras from the true ones
+  bool heights = true;  ///< also give the height of every pixel; no field, as no file has them
+
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("scenes", s.scenes, Field{.help = "scenes to make", .min = 1});
+    v("seed", s.seed, Field{.help = "same seed, same scenes"});
+    v("pixels", s.pixels,
+      Field{.help = "rows and columns of every image", .unit = "px", .min = 16, .max = 4096});
+    v("views", s.views, Field{.help = "images per scene", .min = 1, .max = 32});
+    v("gsd", s.gsd,
+      Field{.help = "ground size of a pixel; 0 draws 0.3 to 0.6 per scene",
+            .unit = "m",
+            .min = 0,
+            .max = 5});
+    v("kinds", s.kinds,
+      Field{.help = "kinds of scenes, drawn with equal chance",
+            .choices = {"city", "suburb", "industrial", "village", "rural", "rough"}});
+    v("relief_max", s.relief_max,
+      Field{
+          .help = "caps the ground's deviation from its mean, of which no kind draws more than 60",
+          .unit = "m",
+          .min = 0.5,
+          .max = 500});
+    v("tallest_max", s.tallest_max,
+      Field{.help = "caps the height above the ground, of which no kind draws more than 60",
+            .unit = "m",
+            .min = 24,
+            .max = 300});
+    v("water", s.water,
+      Field{.help = "share of scenes with a river or a lake", .min = 0, .max = 1});
+    v("panchromatic", s.panchromatic, Field{.help = "share of scenes in grey", .min = 0, .max = 1});
+    v("same_pass", s.same_pass,
+      Field{.help = "share of scenes taken within minutes from one orbit", .min = 0, .max = 1});
+    v("off_nadir_min_deg", s.off_nadir_min_deg,
+      Field{.help = "least off-nadir angle", .unit = "deg", .min = 0, .max = 45});
+    v("off_nadir_max_deg", s.off_nadir_max_deg,
+      Field{.help = "largest off-nadir angle", .unit = "deg", .min = 1, .max = 45});
+    v("parallax_min", s.parallax_min,
+      Field{.help = "least parallax between two views", .unit = "px/m", .min = 0});
+    v("parallax_max", s.parallax_max,
+      Field{.help = "largest parallax between two views", .unit = "px/m", .min = 0});
+    v("bias_px", s.bias_px,
+      Field{.help = "largest shift of the given cameras from the true ones",
+            .unit = "px",
+            .min = 0,
+            .max = 10});
+  }
+};
+
+/// throws ConfigError for fields out of their range or at odds with each other
+void check_config(const SimulateConfig& config);
+
+/// One made-up image.
+struct SimulatedView {
+  Tensor rgb;  ///< [3 H W] in [0, 1], 256 levels; three equal channels if panchromatic
+  rpc::Rpc rpc;
+  double sun_elevation_deg = 0, sun_azimuth_deg = 0;  ///< azimuth clockwise from true north
+  std::string date;                                   ///< YYYYMMDDHHMMSS, UTC
+  Tensor height;  ///< [H W] local z of what each pixel's centre shows, m; empty unless wanted
+  double off_nadir_deg = 0, azimuth_deg = 0;  ///< of the line of sight, towards the satellite
+  /// How well `rpc`, before its bias, stands for the orbital camera.
+  double rpc_rms_px = 0, rpc_max_px = 0;
+};
+
+/// One made-up place.
+struct SimulatedScene {
+  std::string kind;
+  HeightField dsm;  ///< in the local frame, a square that every view lies within
+  rpc::LocalFrame frame;
+  std::vector<SimulatedView> views;
+  Tensor classes;  ///< [H W] on the grid of `dsm`: 2 ground, 5 trees, 6 building, 9 water
+  double h_min = 0, h_max = 0;  ///< range of `dsm`, m above the ellipsoid
+  double gsd = 0;               ///< m
+};
+
+/// Scene number `index` of a seed: a pure function of the arguments, for any number of threads.
+/// throws  ConfigError for a kind that is not among SimulateConfig's
+SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index);
+
+/// Writes a scene in the layout of DFC2019 Track 3:
+///   Track3-RGB/NAME_001_RGB.tif ...  uint8, camera in the RPC tag
+///   Track3-Truth/                    NAME_DSM.tif, NAME_DSM.txt, NAME_CLS.tif
+///   Track3-Metadata/NAME.json        sun, date, angles, height range, zone
+/// throws  IoError
+void write_scene(const SimulatedScene& scene, const std::filesystem::path& out_dir,
+                 const std::string& name);
+
+}  // namespace satsurf::scene

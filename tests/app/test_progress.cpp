@@ -1,0 +1,18 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/progress.h"
+
+#include <cmath>
+
+#include <doctest/doctest.h>
+
+using namespace satsurf::app;
+
+TEST_CASE("progress_line") {
+  CHECK(progress_line("read", 0, "", 9, 80) == "read [........................]   0 %");
+  CHECK(progress_line("train", 0.25, "loss 2", 30, 80) ==
+        "train [######..................]  25 %  loss 2  1:30 left");
+  CHECK(progress_line("train", 0.001, "", 30, 80) ==
+        "train [........................]   0 %  8:19:30 left");
+  CHECK(progress_line("done", 1, "", 30, 80) == "done [########################] 100 %");
+  CHECK(progress_line("odd", std::nan(""), "", 30, 12) == "odd [.......");
+}

@@ -1,0 +1,257 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/output_folder.h"
+#include "satsurf/app/record.h"
+#include "satsurf/app/sha256.h"
+#include "satsurf/core/error.h"
+#include "satsurf/core/fields_json.h"
+#include "satsurf/core/version.h"
+
+#include <cstdlib>
+#include <fstream>
+#include <regex>
+#include <vector>
+
+#include "tests/temp_folder.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::app;
+using test::error_of, test::read_bytes, test::write_bytes;
+namespace fs = std::filesystem;
+
+namespace {
+
+/// Makes a folder look like one that a run has left.
+void leave_run(const fs::path& folder) {
+  fs::create_directories(folder);
+  write_bytes(folder / "run.json", R"({"program": "satsurf", "command": "reconstruct"})");
+}
+
+std::ptrdiff_t entries(const fs::path& folder) {
+  return std::distance(fs::directory_iterator(folder), {});
+}
+
+}  // namespace
+
+TEST_CASE("sha256: the published examples") {
+  CHECK(sha256("") == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+  CHECK(sha256("abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+  CHECK(sha256("abcdbcdecdefdefgefghfghighijhijkijkljklmklmnlmnomnopnopq") ==
+        "248d6a61d20638b8e5c026930c3e6039a33ce45964ff2167f6ecedd419db06c1");
+  CHECK(sha256(std::string(1'000'000, 'a')) ==
+        "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0");
+}
+
+TEST_CASE("sha256: files give the hash of their bytes, whatever the size of the pieces") {
+  const test::TempFolder folder("sha256");
+  for (const std::size_t n : {0U, 55U, 64U, 1U << 20, (1U << 20) + 1}) {
+    const std::string bytes(n, 'x');
+    write_bytes(folder / "f", bytes);
+    CHECK(sha256_of_file(folder / "f") == sha256(bytes));
+  }
+  const std::string missing = (folder / "none").string();
+  CHECK(error_of<IoError>([&] { sha256_of_file(missing); }) ==
+        missing + ": cannot be read, expected a file");
+  CHECK(error_of<IoError>([&] { sha256_of_file(folder.path()); }) ==
+        folder.path().string() + ": cannot be read, expected a file");
+}
+
+TEST_CASE("record: holds what a run depended on") {
+  const test::TempFolder folder("record");
+  fs::create_directories(folder / "data/sub");
+  write_bytes(folder / "data/b.tif", "abc");
+  write_bytes(folder / "data/sub/a.tif", "");
+  write_bytes(folder / "one.tif", "xy");
+
+  RunRecord record("train", {{"lr", 0.5}}, 18446744073709551615U);
+  record.add_input(folder / "data");
+  record.add_input(folder / "one.tif");
+  record.results()["mae"] = 1.25;
+  record.save(folder / "out/run.json");
+
+  const auto j = load_json_file(folder / "out/run.json");
+  CHECK(j["program"] == "satsurf");
+  CHECK(std::regex_match(j["version"].get<std::string>(), std::regex(R"(\d+\.\d+\.\d+)")));
+  CHECK(std::regex_match(j["git"].get<std::string>(), std::regex("[0-9a-f]{40}(-dirty)?|unknown")));
+  CHECK(j["command"] == "train");
+  CHECK(j["config"] == nlohmann::json{{"lr", 0.5}});
+  CHECK(j["seed"] == 18446744073709551615U);
+  CHECK(!j["host"].get<std::string>().empty());
+  CHECK(std::regex_match(j["isa"].get<std::string>(), std::regex("baseline|avx2|avx512")));
+  CHECK(j["threads"] >= 1);
+  CHECK(std::regex_match(j["started"].get<std::string>(),
+                         std::regex(R"(20\d\d-\d\d-\d\dT\d\d:\d\d:\d\dZ)")));
+  CHECK(j["wall_seconds"] >= 0.0);
+  CHECK(j["wall_seconds"] < 60.0);
+  CHECK(j["peak_memory_bytes"] > 1'000'000);
+  CHECK(j["peak_tensor_bytes"].is_number_unsigned());
+  REQUIRE(j["inputs"].size() == 3);
+  CHECK(j["inputs"][0] == nlohmann::json{{"path", (folder / "data/b.tif").string()},
+                                         {"bytes", 3},
+                                         {"sha256", sha256("abc")}});
+  CHECK(j["inputs"][1]["path"] == (folder / "data/sub/a.tif").string());
+  CHECK(j["inputs"][1]["bytes"] == 0);
+  CHECK(j["inputs"][2]["sha256"] == sha256("xy"));
+  CHECK(j["results"] == nlohmann::json{{"mae", 1.25}});
+
+  CHECK(load_config(folder / "out/run.json") == nlohmann::json{{"lr", 0.5}});
+  write_bytes(folder / "plain.json", R"({"lr": 0.25, "config": 1})");
+  CHECK(load_config(folder / "plain.json") == nlohmann::json{{"lr", 0.25}, {"config", 1}});
+  CHECK(error_of<IoError>([&] { record.add_input(folder / "none"); }) ==
+        (folder / "none").string() + ": cannot be read, expected a file");
+}
+
+TEST_CASE("output folder: staged files appear together, or not at all") {
+  const test::TempFolder folder("staged");
+  const fs::path out = folder / "new/out";
+  SUBCASE("dropped") {
+    {
+      const OutputFolder staged = OutputFolder::staged(out, false);
+      write_bytes(staged / "dsm.tif", "half");
+      CHECK(!fs::exists(out));
+      CHECK(staged.path().parent_path() == fs::weakly_canonical(out.parent_path()));
+    }
+    CHECK(fs::is_empty(folder.path()));
+  }
+  SUBCASE("dropped by an exception after a move") {
+    CHECK(error_of<Error>([&] {
+            OutputFolder first = OutputFolder::staged(out, false);
+            const OutputFolder second = std::move(first);
+            write_bytes(second / "dsm.tif", "half");
+            throw Error("stop");
+          }) == "stop");
+    CHECK(fs::is_empty(folder.path()));
+  }
+  SUBCASE("committed, also into a folder that is there and empty, or named with a slash") {
+    fs::create_directories(out);
+    {
+      OutputFolder staged = OutputFolder::staged(out.string() + "/", false);
+      write_bytes(staged / "dsm.tif", "whole");
+      CHECK(fs::is_empty(out));
+      staged.commit();
+      CHECK(staged.path() == fs::weakly_canonical(out));
+      staged.commit();  // a second time changes nothing
+    }
+    CHECK(read_bytes(out / "dsm.tif") == "whole");
+    CHECK(entries(folder / "new") == 1);
+  }
+}
+
+TEST_CASE("output folder: what exists is replaced only when asked, and only when done") {
+  const test::TempFolder folder("existing");
+  const fs::path out = folder / "out";
+  leave_run(out);
+  write_bytes(out / "old.tif", "old");
+  const std::string refusal = "out: " + out.string() + " exists and is not empty; use --overwrite";
+  CHECK(error_of<IoError>([&] { OutputFolder::staged(out, false); }) == refusal);
+  CHECK(entries(folder.path()) == 1);
+
+  { const OutputFolder dropped = OutputFolder::staged(out, true); }
+  CHECK(read_bytes(out / "old.tif") == "old");
+  {
+    OutputFolder staged = OutputFolder::staged(out, true);
+    leave_run(staged.path());
+    write_bytes(staged / "new.tif", "new");
+    CHECK(fs::exists(out / "old.tif"));
+    staged.commit();
+  }
+  CHECK(!fs::exists(out / "old.tif"));
+  CHECK(read_bytes(out / "new.tif") == "new");
+  CHECK(entries(folder.path()) == 1);
+
+  SUBCASE("a link keeps pointing to its folder") {
+    fs::create_directory_symlink(out, folder / "link");
+    OutputFolder staged = OutputFolder::staged(folder / "link", true);
+    write_bytes(staged / "linked.tif", "x");
+    staged.commit();
+    CHECK(fs::is_symlink(folder / "link"));
+    CHECK(fs::exists(out / "linked.tif"));
+  }
+  SUBCASE("a file is no folder") {
+    const fs::path file = out / "new.tif";
+    CHECK(error_of<IoError>([&] { OutputFolder::staged(file, true); }) ==
+          "out: " + file.string() + " is a file, expected a folder");
+  }
+  SUBCASE("the working folder and those around it are safe") {
+    for (const fs::path& dangerous : {fs::path("."), fs::path(".."), fs::path("/")})
+      CHECK(error_of<IoError>([&] { OutputFolder::staged(dangerous, true); }) ==
+            "out: " + dangerous.string() +
+                " holds the working or the home folder, which --overwrite would remove");
+  }
+}
+
+TEST_CASE("output folder: only a run of the program is overwritten, and no input") {
+  const test::TempFolder folder("overwrite");
+  const fs::path out = folder / "out";
+  fs::create_directories(out);
+  write_bytes(out / "thesis.txt", "years");
+  const auto refused = [&](const std::vector<fs::path>& inputs = {}) {
+    const std::string text = error_of<IoError>([&] { OutputFolder::staged(out, true, inputs); });
+    CHECK(read_bytes(out / "thesis.txt") == "years");
+    CHECK(!fs::exists(out.string() + ".partial-" + std::to_string(::getpid())));
+    return text;
+  };
+  const std::string no_run = "out: " + out.string() +
+                             " holds no run.json of an earlier run, expected one for --overwrite; "
+                             "name another folder";
+  CHECK(refused() == no_run);
+  for (const char* other : {"{}", "[1]", "{", R"({"program": "another", "command": "train"})",
+                            R"({"program": "satsurf", "command": "evaluate"})"}) {
+    write_bytes(out / "run.json", other);
+    CHECK(refused() == no_run);
+  }
+  leave_run(out);
+  write_bytes(folder / "elsewhere.tif", "");
+  fs::create_symlink(out / "thesis.txt", folder / "to-inside");
+  fs::create_symlink(folder / "elsewhere.tif", out / "to-outside");
+  for (const fs::path& input : {out, out / "thesis.txt", out / "to-outside", out / "missing.tif",
+                                folder / "to-inside", folder / "elsewhere.tif/../out/thesis.txt"})
+    CHECK(refused({folder / "elsewhere.tif", {}, input}) ==
+          "out: " + out.string() + " holds the input " + input.string() +
+              ", expected a folder of its own");
+  { const OutputFolder apart = OutputFolder::staged(out, true, {folder / "elsewhere.tif", {}}); }
+
+  SUBCASE("a folder that others fill meanwhile stays theirs") {
+    const fs::path fresh = folder / "fresh";
+    OutputFolder staged = OutputFolder::staged(fresh, false);
+    fs::create_directories(fresh);
+    write_bytes(fresh / "theirs", "x");
+    CHECK(error_of<IoError>([&] { staged.commit(); }) ==
+          "out: " + fresh.string() + " exists and is not empty; use --overwrite");
+    CHECK(read_bytes(fresh / "theirs") == "x");
+  }
+}
+
+TEST_CASE("output folder: folders made around it go with it") {
+  const test::TempFolder folder("around");
+  fs::create_directories(folder / "kept");
+  { const OutputFolder dropped = OutputFolder::staged(folder / "kept/new/deep/out", false); }
+  CHECK(fs::is_empty(folder / "kept"));
+  {
+    const OutputFolder dropped = OutputFolder::staged(folder / "kept/new/deep/out", false);
+    write_bytes(folder / "kept/new/theirs", "x");
+  }
+  CHECK(entries(folder / "kept/new") == 1);
+  OutputFolder::staged(folder / "kept/new/deep/out", false).commit();
+  CHECK(fs::is_directory(folder / "kept/new/deep/out"));
+}
+
+TEST_CASE("output folder: in place, whatever is there stays") {
+  const test::TempFolder folder("in-place");
+  const fs::path out = folder / "out";
+  { const OutputFolder nothing = OutputFolder::in_place(out); }
+  CHECK(!fs::exists(out));
+  fs::create_directories(out);
+  write_bytes(out / "checkpoint", "1");
+  {
+    OutputFolder place = OutputFolder::in_place(out);
+    CHECK(place.in_its_place());
+    CHECK(read_bytes(place / "checkpoint") == "1");
+    place.commit();
+  }
+  CHECK(read_bytes(out / "checkpoint") == "1");
+  CHECK(error_of<IoError>([&] { OutputFolder::in_place(out / "checkpoint"); }) ==
+        "out: " + (out / "checkpoint").string() + " is a file, expected a folder");
+  CHECK(error_of<IoError>([&] { OutputFolder::staged("", true); }) ==
+        "out: the name is empty, expected a folder");
+}

@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/picture.h"
+#include "satsurf/app/preview.h"
+#include "satsurf/evaluate/image_metrics.h"
+#include "satsurf/evaluate/metrics.h"
+
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "tests/gradcheck.h"
+#include "tests/paths.h"
+#include "tests/ref/ssim_ref.h"
+#include "tests/small_lpips.h"
+#include "tests/temp_folder.h"
+#include <OpenImageIO/imageio.h>
+
+using namespace satsurf;
+using namespace satsurf::app;
+using namespace satsurf::evaluate;
+
+namespace {
+
+Tensor noise(const Shape& shape, std::uint64_t seed) {
+  auto t = test::normal(shape, seed, 0.2).cast<float>();
+  for (float& v : t.values()) v += 0.5f;
+  return t;
+}
+
+/// Published weights and images, which the repository does not contain: SATSURF_DATA, or
+/// ../shared/data beside the sources. Empty, with a message, where there are none.
+std::filesystem::path lpips_folder() {
+  const std::filesystem::path folder = test::shared_data() / "lpips";
+  if (std::filesystem::is_directory(folder)) return folder;
+  MESSAGE("SKIPPED: no LPIPS weights at ", folder.string(), " (set SATSURF_DATA)");
+  return {};
+}
+
+void write_picture(const std::filesystem::path& path, int W, int H, int C, OIIO::TypeDesc as,
+                   const std::vector<float>& pixels) {
+  const auto out = OIIO::ImageOutput::create(path.string());
+  REQUIRE(out);
+  OIIO::ImageSpec spec(W, H, C, as);
+  spec.attribute("oiio:UnassociatedAlpha", 1);
+  REQUIRE(out->open(path.string(), spec));
+  REQUIRE(out->write_image(OIIO::TypeDesc::FLOAT, pixels.data()));
+  REQUIRE(out->close());
+}
+
+}  // namespace
+
+TEST_CASE("score_images") {
+  const Index H = 21, W = 25, P = H * W;
+  const Tensor a = noise({3, H, W}, 1), b = noise({3, H, W}, 2);
+  auto clip = [](const Tensor& t) {
+    auto d = t.cast<double>();
+    for (double& v : d.values()) v = std::min(1.0, std::max(0.0, v));
+    return d;
+  };
+  SUBCASE("values beyond [0, 1] are clipped") {
+    REQUIRE(*std::max_element(a.values().begin(), a.values().end()) > 1);
+    const ImageScores s = score_images(a, b);
+    CHECK(s.psnr == psnr(a, b));
+    CHECK(s.ssim ==
+          doctest::Approx(test::ssim_ref(clip(a), clip(b), nullptr, 3, H, W, test::kSkimageRef)));
+    CHECK(s.ssim_conv ==
+          doctest::Approx(test::ssim_ref(clip(a), clip(b), nullptr, 3, H, W, test::kConvRef)));
+    CHECK(!s.lpips);
+    CHECK(s.lpips_backbone.empty());
+  }
+  SUBCASE("a mask") {
+    Tensor mask({H, W}, 1.f);
+    for (Index i = 0; i < P; i += 4) mask[i] = 0;
+    const auto m = mask.cast<double>();
+    const ImageScores s = score_images(a, b, mask);
+    CHECK(s.psnr == psnr(a, b, mask));
+    CHECK(s.ssim ==
+          doctest::Approx(test::ssim_ref(clip(a), clip(b), m.data(), 3, H, W, test::kSkimageRef)));
+    CHECK(s.ssim_conv ==
+          doctest::Approx(test::ssim_ref(clip(a), clip(b), m.data(), 3, H, W, test::kConvRef)));
+  }
+  SUBCASE("equal images") {
+    const ImageScores s = score_images(a, a);
+    CHECK(std::isinf(s.psnr));
+    CHECK(s.ssim == 1);
+    CHECK(s.ssim_conv == 1);
+  }
+  SUBCASE("numbers that do not exist are NaN") {
+    const ImageScores small = score_images(noise({1, 10, 30}, 3), noise({1, 10, 30}, 4));
+    CHECK(std::isnan(small.ssim));
+    CHECK(std::isfinite(small.ssim_conv));
+    Tensor border({H, W});
+    border[3] = 1;
+    const ImageScores s = score_images(a, b, border);
+    CHECK(std::isnan(s.ssim));
+    CHECK(std::isfinite(s.ssim_conv));
+    const ImageScores none = score_images(a, b, Tensor({H, W}));
+    CHECK(std::isnan(none.psnr));
+    CHECK(std::isnan(none.ssim_conv));
+    CHECK(!none.lpips);
+  }
+  SUBCASE("nor has LPIPS a value where no pixel counts, else the two would be equal") {
+    const nn::Lpips lpips = test::small_lpips();
+    const Index side = lpips.smallest_side() + 1;
+    const Tensor p = noise({3, side, side}, 3), q = noise({3, side, side}, 4);
+    Tensor mask({side, side});
+    const ImageScores none = score_images(p, q, mask, &lpips);
+    REQUIRE(none.lpips);
+    CHECK(std::isnan(*none.lpips));
+    CHECK(none.lpips_backbone == "alex");
+    for (Index i = 0; i < side * side / 2; ++i) mask[i] = 1;
+    CHECK(*score_images(p, q, mask, &lpips).lpips > 0);
+    CHECK(*score_images(p, q, {}, &lpips).lpips > 0);
+  }
+}
+
+TEST_CASE("read_picture") {
+  const test::TempFolder folder("picture");
+  SUBCASE("8 and 16 bits, colour and grey, with or without transparency") {
+    const std::vector<float> values{0.2f, 0.4f, 0.6f, 0.8f, 1.f, 0.f, 0.6f, 0.2f};
+    struct Kind {
+      const char* name;
+      int channels;
+      OIIO::TypeDesc as;
+    };
+    for (const auto& [name, channels, as] :
+         {Kind{"rgba.png", 4, OIIO::TypeDesc::UINT8}, Kind{"grey.png", 1, OIIO::TypeDesc::UINT8},
+          Kind{"greya.png", 2, OIIO::TypeDesc::UINT8}, Kind{"deep.png", 1, OIIO::TypeDesc::UINT16},
+          Kind{"rgba.tif", 4, OIIO::TypeDesc::UINT16},
+          Kind{"grey.tif", 1, OIIO::TypeDesc::FLOAT}}) {
+      CAPTURE(name);
+      const int W = 8 / channels, keep = channels < 3 ? 1 : 3;
+      write_picture(folder / name, W, 1, channels, as, values);
+      const Tensor t = read_picture(folder / name);
+      REQUIRE(t.shape() == Shape{keep, 1, W});
+      for (int i = 0; i < W; ++i)
+        for (int c = 0; c < keep; ++c)
+          CHECK(t[c * W + i] ==
+                doctest::Approx(values[static_cast<std::size_t>(i * channels + c)]).epsilon(1e-5));
+    }
+  }
+  SUBCASE("what write_png writes") {
+    const Tensor t = Tensor::from({3, 1, 2}, {0, 1, 0.2f, 0.4f, 0.6f, 0.8f});
+    write_png(folder / "t.png", t);
+    const Tensor back = read_picture(folder / "t.png");
+    for (Index i = 0; i < 6; ++i) CHECK(back[i] == doctest::Approx(t[i]));
+  }
+  SUBCASE("refusals name the file") {
+    const auto refusal = [&](const std::string& name) {
+      return test::error_of<IoError>([&] { read_picture(folder / name); });
+    };
+    const std::string at = (folder / "").string();
+    CHECK(refusal("gone.png") ==
+          at + "gone.png: no such file, expected a PNG, JPEG or TIFF picture");
+    test::write_bytes(folder / "text.png", "this is no picture");
+    test::write_bytes(folder / "empty.tif", "");
+    write_picture(folder / "six.tif", 2, 1, 6, OIIO::TypeDesc::UINT8, std::vector<float>(12));
+    write_png(folder / "whole.png", noise({3, 40, 40}, 5));
+    const std::string bytes = test::read_bytes(folder / "whole.png");
+    test::write_bytes(folder / "cut.png", bytes.substr(0, bytes.size() / 2));
+    for (const std::string name : {"text.png", "empty.tif", "six.tif", "cut.png"}) {
+      const std::string text = refusal(name);
+      CAPTURE(text);
+      CHECK(text.starts_with(at + name + ": "));
+      CHECK(text.ends_with(", expected a PNG, JPEG or TIFF picture"));
+      CHECK(text.find('\n') == std::string::npos);
+    }
+    CHECK(refusal("cut.png") ==
+          at + "cut.png: the file ends too early, expected a PNG, JPEG or TIFF picture");
+    CHECK(refusal("six.tif") ==
+          at + "six.tif: 2 x 1 px with 6 channels, expected a PNG, JPEG or TIFF picture");
+  }
+}
+
+TEST_CASE("lpips has the published values") {
+  const std::filesystem::path folder = lpips_folder();
+  if (folder.empty()) return;
+  const Tensor ref = read_picture(folder / "ex_ref.png"), p0 = read_picture(folder / "ex_p0.png"),
+               p1 = read_picture(folder / "ex_p1.png");
+  struct Published {
+    const char* backbone;
+    double p0, p1;
+  };
+  for (const auto& [backbone, want0, want1] :
+       {Published{"squeeze", 0.71105, 0.14790}, Published{"alex", 0.72188, 0.13757}}) {
+    CAPTURE(backbone);
+    const auto lpips =
+        nn::Lpips::load(folder / ("lpips_" + std::string(backbone) + ".safetensors"));
+    const ImageScores s0 = score_images(p0, ref, {}, &lpips);
+    CHECK(s0.lpips_backbone == backbone);
+    REQUIRE(s0.lpips);
+    CHECK(std::abs(*s0.lpips - want0) < 1e-4);
+    CHECK(std::abs(*score_images(p1, ref, {}, &lpips).lpips - want1) < 1e-4);
+    CHECK(*score_images(ref, ref, {}, &lpips).lpips == 0);
+
+    // grey is three equal channels
+    const Tensor grey = ref.reshaped({3, 64, 64}).slice0(0).reshaped({1, 64, 64});
+    auto three = Tensor::uninitialised({3, 64, 64});
+    for (Index c = 0; c < 3; ++c) std::copy_n(grey.data(), 4096, three.data() + c * 4096);
+    const Tensor dark({1, 64, 64}), darks({3, 64, 64});
+    CHECK(*score_images(grey, dark, {}, &lpips).lpips ==
+          *score_images(three, darks, {}, &lpips).lpips);
+  }
+}

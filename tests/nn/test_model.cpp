@@ -1,0 +1,470 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
+#include "satsurf/nn/adamw.h"
+#include "satsurf/nn/hypotheses.h"
+#include "satsurf/nn/model.h"
+#include "satsurf/ops/elementwise.h"
+#include "satsurf/ops/loss.h"
+#include "satsurf/ops/reduce.h"
+#include "satsurf/ops/resize.h"
+#include "satsurf/splat/view.h"
+
+#include <cmath>
+
+#include "tests/affine_scene.h"
+#include "tests/gradcheck.h"
+
+using namespace satsurf;
+using namespace satsurf::test;
+
+namespace {
+
+nn::NetworkInput hill(Index size = 32) {
+  return affine_scene(size, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}}, -6, 6, [](double x, double y) {
+    return 2 * std::cos(0.3 * x) * std::cos(0.25 * y);
+  });
+}
+
+/// Heights of all stages and the colours rendered into the first source, as one number.
+template <class T>
+BasicVar<T> objective(const nn::BasicModel<T>& model, const nn::NetworkInput& scene) {
+  const auto stages = model.forward(scene);
+  BasicVar<T> total;
+  for (const auto& stage : stages) {
+    const auto render =
+        splat::render_view(stage.surfels, scene.sources[0].pixel_from_local,
+                           scene.sources[0].rgb.dim(1), scene.sources[0].rgb.dim(2), stage.stride);
+    const BasicVar<T> term = mean(stage.height * stage.height) +
+                             mean(render.colour * render.colour) +
+                             affine(mean(render.height), T(0.1), T(0)) + mean(stage.confidence);
+    total = total.empty() ? term : total + term;
+  }
+  return total;
+}
+
+}  // namespace
+
+TEST_CASE("the memory of a forward pass is known before, part by part") {
+  const NoGrad no_grad;
+  const auto check = [](const char* preset, std::size_t views, Index side) {
+    CAPTURE(preset);
+    CAPTURE(views);
+    CAPTURE(side);
+    const nn::ModelConfig config = nn::model_preset(preset);
+    const nn::Model model(config, 1);
+    auto scene = affine_scene(side, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}, {0.5, 0.5}, {-0.2, 0.6}},
+                              -6, 6, [](double, double) { return 0.0; });
+    scene.sources.resize(views), scene.transfer.resize(views);
+    for (auto& row : scene.transfer) row.resize(views);
+    const auto before = static_cast<double>(tensor_bytes());
+    reset_peak_tensor_bytes();
+    std::vector<nn::PartMemory> measured;
+    model.forward(scene, {}, &measured);
+    const auto planned = nn::forward_memory(config, static_cast<Index>(views), side, side);
+    REQUIRE(measured.size() == 7);
+    REQUIRE(planned.size() == 7);
+    double most = 0;
+    for (std::size_t i = 0; i < 7; ++i) {
+      CAPTURE(measured[i].part);
+      CHECK(planned[i].part == measured[i].part);
+      CHECK(planned[i].bytes / measured[i].bytes == doctest::Approx(1).epsilon(0.1));
+      most = std::max(most, measured[i].bytes);
+    }
+    CHECK(nn::forward_bytes(config, static_cast<Index>(views), side, side) / most ==
+          doctest::Approx(1).epsilon(0.1));
+    CHECK(static_cast<double>(peak_tensor_bytes()) == before + most);  // measuring hides nothing
+  };
+  for (const std::size_t views : {2, 3, 5}) check("tiny", views, 256);
+  check("tiny_full", 3, 256);
+  check("base8", 3, 192);
+}
+
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they get blocks of malloc's
+TEST_CASE("a second pass of a size asks the system for no memory") {
+  const NoGrad no_grad;
+  const nn::Model model(nn::model_preset("tiny"), 1);
+  const auto scene =
+      affine_scene(192, {{0.8, 0.1}, {-0.7, 0.3}}, -6, 6, [](double, double) { return 0.0; });
+  model.forward(scene);
+  const std::size_t reserved = reserved_tensor_bytes();
+  CHECK(reserved > 0);
+  model.forward(scene);
+  model.forward(scene);
+  CHECK(reserved_tensor_bytes() == reserved);
+}
+#endif
+
+TEST_CASE("a forward pass can be stopped") {
+  struct Stop {};
+  int calls = 0;
+  const nn::Model model(nn::model_preset("tiny"), 1);
+  const NoGrad no_grad;
+  model.forward(hill(), [&] { ++calls; });
+  CHECK(calls > 3 * 3 * 5);  // stages, views, layers
+  CHECK_THROWS_AS(model.forward(hill(), [] { throw Stop{}; }), Stop);
+}
+
+TEST_CASE("stages have the promised shapes, ranges and normalisation") {
+  const nn::BasicModel<float> model(nn::model_preset("tiny"), 1);
+  const auto scene = hill();
+  const NoGrad no_grad;
+  const auto stages = model.forward(scene);
+  for (std::size_t s = 0; s < 3; ++s) {
+    const Index stride = Index{4} >> s, w = 32 / stride, D = model.config().hypotheses[s];
+    CHECK(stages[s].stride == stride);
+    CHECK(stages[s].height.shape() == Shape{3, w, w});
+    CHECK(stages[s].probability.shape() == Shape{3, D, w, w});
+    CHECK(stages[s].surfels.means.shape() == Shape{3 * w * w, 3});
+    for (Index i = 0; i < 3 * w * w; ++i) {
+      const float low = stages[s].hypotheses[i / (w * w) * D * w * w + i % (w * w)];
+      const float high = stages[s].hypotheses[(i / (w * w) * D + D - 1) * w * w + i % (w * w)];
+      CHECK(stages[s].height.value()[i] >= low - 1e-4f);
+      CHECK(stages[s].height.value()[i] <= high + 1e-4f);
+      CHECK(stages[s].confidence.value()[i] >= 1.f / static_cast<float>(D) - 1e-6f);
+    }
+  }
+  CHECK(stages[2].interval < stages[1].interval);
+}
+
+namespace {
+
+/// A model whose layers that start at zero have small random values, so that everything below them
+/// is reached.
+nn::BasicModel<double> awake(const nn::ModelConfig& config, Rng& rng) {
+  nn::BasicModel<double> model(config, 3);
+  for (const auto& e : model.parameters().entries()) {
+    const auto ends = [&](const char* text) { return e.name.ends_with(text); };
+    if (!ends("head.out.weight") && !ends("guidance.residual2.weight") &&
+        !ends("cost.context.gamma") && !ends("fusion.value_mono.weight") &&
+        !ends("fusion.query.weight"))
+      continue;
+    BasicVar<double> v = e.var;
+    for (double& x : v.mutable_value().values()) x = 0.05 * rng.normal();
+  }
+  return model;
+}
+
+/// Everything a stage hands on but rendered maps: cut-offs of the splatter and the median make those
+/// discontinuous; its own tests check it smoothly.
+BasicVar<double> smooth_objective(const nn::BasicModel<double>& model,
+                                  const nn::NetworkInput& scene) {
+  BasicVar<double> total;
+  for (const auto& s : model.forward(scene)) {
+    const auto& g = s.surfels;
+    const BasicVar<double> term = mean(s.height * s.height) + mean(g.means * g.means) +
+                                  mean(g.quats * g.quats) + mean(g.scales) + mean(g.opacity) +
+                                  mean(g.colours * g.colours);
+    total = total.empty() ? term : total + term;
+  }
+  return total;
+}
+
+}  // namespace
+
+TEST_CASE("whole-model gradient in double") {
+  Rng rng(5);
+  nn::ModelConfig config = nn::model_preset("tiny");
+  config.confidence = "raw";  // the others reach the heads without a gradient
+  const auto model = awake(config, rng);
+  const auto scene = hill(16);
+  const auto heights_only = [&] { return smooth_objective(model, scene); };
+  heights_only().backward();
+  Index checked = 0;
+  for (const auto& e : model.parameters().entries()) {
+    BasicVar<double> v = e.var;
+    REQUIRE_MESSAGE(!v.grad().empty(), e.name);
+    const Index i = rng.below(v.count());
+    const double saved = v.value()[i], h = 1e-6;
+    const NoGrad no_grad;
+    v.mutable_value()[i] = saved + h;
+    const double up = heights_only().value().item();
+    v.mutable_value()[i] = saved - h;
+    const double down = heights_only().value().item();
+    v.mutable_value()[i] = saved;
+    const double numeric = (up - down) / (2 * h), analytic = v.grad()[i];
+    // Hypotheses of later stages follow the detached earlier heights: that path carries no gradient
+    // by design, so only parameters of the last stage can agree exactly.
+    if (!e.name.starts_with("stage3")) continue;
+    CHECK_MESSAGE(std::abs(numeric - analytic) <
+                      1e-6 * std::max({1.0, std::abs(numeric), std::abs(analytic)}),
+                  e.name, " analytic ", analytic, " numeric ", numeric);
+    ++checked;
+  }
+  CHECK(checked > 10);
+}
+
+TEST_CASE("gradients of fusion and guidance reach the last stage's parameters in double") {
+  for (const std::string start : {"paper", "gated", "additive", "naive", "guidance"}) {
+    CAPTURE(start);
+    nn::ModelConfig config = nn::model_preset("tiny_full");
+    config.confidence = "raw";  // the others reach the heads without a gradient
+    if (start == "guidance" || start == "naive")
+      config.fusion = start == "naive" ? "naive" : "none";
+    else
+      config.fusion_start = start;
+    // Guidance reads heights without a gradient: that path is cut by design.
+    if (start != "guidance") config.guidance = "none";
+    Rng rng(6);
+    const auto model = awake(config, rng);
+    const auto scene = hill(32);
+    smooth_objective(model, scene).backward();
+    Index checked = 0;
+    for (const auto& e : model.parameters().entries()) {
+      // What earlier stages tell later ones carries no gradient by design.
+      if (!e.name.starts_with("stage3.fusion") && !e.name.starts_with("stage3.guidance") &&
+          (start == "guidance" || !e.name.starts_with("stage3.cost.context")))
+        continue;
+      CAPTURE(e.name);
+      BasicVar<double> v = e.var;
+      REQUIRE(!v.grad().empty());
+      const Index i = rng.below(v.count());
+      const double saved = v.value()[i], analytic = v.grad()[i];
+      const NoGrad no_grad;
+      const auto at = [&](double value) {
+        v.mutable_value()[i] = value;
+        return smooth_objective(model, scene).value().item();
+      };
+      double error = INFINITY;
+      for (const double h : {1e-6, 1e-7, 3e-8}) {  // kinks may lie within the longer steps
+        const double numeric = (at(saved + h) - at(saved - h)) / (2 * h);
+        const double scale = std::max({1.0, std::abs(numeric), std::abs(analytic)});
+        error = std::min(error, std::abs(numeric - analytic) / scale);
+      }
+      v.mutable_value()[i] = saved;
+      CHECK(error < 3e-6);
+      ++checked;
+    }
+    CHECK(checked >= (start == "naive" ? 5 : start == "guidance" ? 8 : 11));
+  }
+}
+
+TEST_CASE("fusion and guidance start as identities in the default configuration") {
+  const auto scene = hill(32);
+  const NoGrad no_grad;
+  // The same seed gives parameters of the same name the same values.
+  nn::ModelConfig with = nn::model_preset("tiny_full"), without = with;
+  without.fusion = without.guidance = "none";
+  // The heads' last layers start at zero: awake, they show what guidance gives them.
+  const auto stages_of = [&](const nn::ModelConfig& config, bool wakes_guidance = false) {
+    nn::BasicModel<double> model(config, 1);
+    for (const auto& e : model.parameters().entries()) {
+      if (!e.name.ends_with("head.out.weight") &&
+          !(wakes_guidance && e.name.ends_with("guidance.residual2.weight")))
+        continue;
+      BasicVar<double> v = e.var;
+      v.mutable_value() = normal(v.shape(), 8, 0.05);
+    }
+    return model.forward(scene);
+  };
+  const auto difference = [&](const nn::ModelConfig& a, const nn::ModelConfig& b,
+                              bool wakes_guidance = false) {
+    const auto x = stages_of(a, wakes_guidance), y = stages_of(b);
+    double worst = 0;
+    for (std::size_t s = 0; s < 3; ++s)
+      for (const auto& [u, v] :
+           {std::pair{x[s].height.value(), y[s].height.value()},
+            std::pair{x[s].surfels.scales.value(), y[s].surfels.scales.value()},
+            std::pair{x[s].surfels.colours.value(), y[s].surfels.colours.value()}})
+        for (Index i = 0; i < u.count(); ++i) worst = std::max(worst, std::abs(u[i] - v[i]));
+    return worst;
+  };
+  CHECK(nn::ModelConfig{}.fusion == "cmmf");
+  CHECK(nn::ModelConfig{}.fusion_start == "additive");
+  CHECK(nn::ModelConfig{}.guidance == "csrg");
+  auto guided = without;
+  guided.guidance = "csrg";
+  CHECK(difference(guided, without) == 0);
+  CHECK(difference(guided, without, true) > 1e-3);  // it would show
+  CHECK(difference(with, without) < 1e-9);
+  auto gated = with;
+  gated.fusion_start = "gated";
+  CHECK(difference(gated, without) < 0.2);  // m: features 3 % smaller change heights by little
+  auto paper = with;
+  paper.fusion_start = "paper";
+  CHECK(difference(paper, without) > 0.2);
+}
+
+TEST_CASE("every parameter receives a gradient") {
+  for (const char* preset : {"tiny", "tiny_full"}) {
+    const nn::BasicModel<float> model(nn::model_preset(preset), 1);
+    objective(model, hill()).backward();
+    for (const auto& e : model.parameters().entries()) {
+      double sum = 0;
+      if (e.name.starts_with(nn::kMonoPrefix)) {
+        CHECK(e.var.grad().empty());
+        continue;
+      }
+      for (const float g : e.var.grad().values()) sum += std::abs(static_cast<double>(g));
+      // Only the layers above a zero-initialised one start without a gradient.
+      const bool behind_zero = (e.name.find(".head.") != std::string::npos &&
+                                e.name.find(".out.") == std::string::npos) ||
+                               e.name.find(".guidance.") != std::string::npos ||
+                               e.name.ends_with(".context.weight") ||
+                               e.name.find(".fusion.key_") != std::string::npos ||
+                               e.name.find(".fusion.query") != std::string::npos;
+      CHECK_MESSAGE((behind_zero || sum > 0), e.name);
+    }
+  }
+}
+
+TEST_CASE("a confidence that knows what the stages before missed") {
+  const auto scene = hill();
+  const NoGrad no_grad;
+  nn::ModelConfig config = nn::model_preset("tiny");
+  const auto stages = nn::BasicModel<double>(config, 1).forward(scene);
+  BasicTensor<double> in_band;
+  for (std::size_t s = 0; s < 3; ++s) {
+    CAPTURE(s);
+    const auto& stage = stages[s];
+    const auto near = [&](double reach) {
+      return nn::probability_within(stage.probability.value(), stage.hypotheses,
+                                    stage.height.value(), stage.interval, reach);
+    };
+    const BasicTensor<double> own = near(stage.interval);
+    const Index side = 32 / stage.stride;
+    const auto before = s == 0 ? BasicTensor<double>()
+                               : resize_bilinear(BasicVar<double>(in_band), side, side).value();
+    REQUIRE(stage.within.shape() == own.shape());
+    for (Index i = 0; i < own.count(); ++i) {
+      REQUIRE(stage.within[i] == doctest::Approx(s == 0 ? own[i] : own[i] * before[i]));
+      REQUIRE(stage.within[i] > 0);
+      REQUIRE(stage.within[i] <= 1);
+      REQUIRE(nn::effective_confidence(config, stage)[i] == stage.within[i]);
+    }
+    if (s == 2) break;
+    // stage 2 searches 8 hypotheses of its own interval, stage 3 has 4
+    const double half = s == 0 ? 4 * stages[1].interval : 2 * stages[2].interval;
+    in_band = near(half);
+    if (s > 0)
+      for (Index i = 0; i < in_band.count(); ++i) in_band[i] *= before[i];
+  }
+  config.confidence = "raw";
+  const auto raw = nn::BasicModel<double>(config, 1).forward(scene);
+  config.confidence = "floor";
+  const auto floor = nn::BasicModel<double>(config, 1).forward(scene);
+  CHECK(raw[2].within.empty());
+  for (Index i = 0; i < raw[2].confidence.value().count(); ++i) {
+    const double c = stages[2].confidence.value()[i];
+    REQUIRE(raw[2].surfels.aux.value()[i] == c);
+    REQUIRE(floor[2].surfels.aux.value()[i] == doctest::Approx((c - 0.25) / 0.75));
+  }
+}
+
+TEST_CASE("surfel heads and guidance read the one confidence") {
+  const auto scene = hill();
+  const NoGrad no_grad;
+  // What is read where the head's own channel, its last, is deaf, comes by way of the guidance.
+  for (const bool by_guidance : {false, true}) {
+    CAPTURE(by_guidance);
+    const auto surfels = [&](const char* confidence) {
+      nn::ModelConfig config = nn::model_preset("tiny_full");
+      config.mono = config.fusion = "none";  // whose confidence would change heights
+      if (!by_guidance) config.guidance = "none";
+      config.confidence = confidence;
+      Rng rng(7);
+      const auto model = awake(config, rng);
+      for (const auto& e : model.parameters().entries()) {
+        if (!by_guidance || !e.name.ends_with("head.first.weight")) continue;
+        BasicVar<double> v = e.var;
+        const Index in = v.value().dim(1);
+        for (Index o = 0; o < v.value().dim(0); ++o)
+          for (Index k = 0; k < 9; ++k) v.mutable_value()[(o * in + in - 1) * 9 + k] = 0;
+      }
+      return model.forward(scene);
+    };
+    const auto raw = surfels("raw"), floor = surfels("floor"), joint = surfels("joint");
+    for (const auto* other : {&floor, &joint}) {
+      double heights = 0, opacities = 0;
+      for (Index i = 0; i < raw[2].height.value().count(); ++i) {
+        const auto apart = [&](const auto& a, const auto& b) {
+          return std::abs(a.value()[i] - b.value()[i]);
+        };
+        heights = std::max(heights, apart(raw[2].height, (*other)[2].height));
+        opacities = std::max(opacities, apart(raw[2].surfels.opacity, (*other)[2].surfels.opacity));
+      }
+      CHECK(heights == 0);
+      CHECK(opacities > 1e-4);
+    }
+  }
+}
+
+TEST_CASE("stages that do not search interpolate, and surfels of all stages can be kept") {
+  const auto scene = hill();
+  const NoGrad no_grad;
+  nn::ModelConfig config = nn::model_preset("tiny");
+  config.hypotheses = {8, 0, 4};
+  config.keep = "all";
+  config.guidance = "photometric";
+  const nn::BasicModel<double> model(config, 1);
+  const auto stages = model.forward(scene);
+  CHECK(stages[1].probability.empty());
+  CHECK(stages[1].choices == 8);
+  CHECK(stages[2].choices == 4);
+  const auto up = resize_bilinear(stages[0].height, 16, 16).value();
+  for (Index i = 0; i < up.count(); ++i) CHECK(stages[1].height.value()[i] == up[i]);
+  CHECK(stages[0].surfels.means.dim(0) == 3 * 8 * 8);
+  CHECK(stages[1].surfels.means.dim(0) == 3 * (8 * 8 + 16 * 16));
+  CHECK(stages[2].surfels.means.dim(0) == 3 * (8 * 8 + 16 * 16 + 32 * 32));
+  // a stage's own come first
+  for (Index i = 0; i < 3 * 16 * 16; ++i)
+    CHECK(stages[1].surfels.aux.value()[i] == stages[1].within[i]);
+  config.hypotheses = {0, 8, 4};
+  CHECK_THROWS_AS(nn::BasicModel<double>(config, 1), ConfigError);
+  for (const char* preset : {"mvsplat_like", "hisplat_like", "skysplat_like", "paper"}) {
+    CAPTURE(preset);
+    const auto of_32 = nn::Model(nn::model_preset(preset), 1).forward(hill());
+    CHECK(of_32[2].height.shape() == Shape{3, 32, 32});
+  }
+}
+
+TEST_CASE("one and two threads give the same bits") {
+  const auto scene = hill();
+  std::vector<std::vector<float>> gradients;
+  for (const int n : {1, 2}) {
+    set_threads(n);
+    const nn::BasicModel<float> model(nn::model_preset("tiny_full"), 1);
+    objective(model, scene).backward();
+    auto& all = gradients.emplace_back();
+    for (const auto& e : model.parameters().entries())
+      all.insert(all.end(), e.var.grad().values().begin(), e.var.grad().values().end());
+  }
+  set_threads(0);
+  CHECK(gradients[0] == gradients[1]);
+}
+
+TEST_CASE("the network learns the surface of one scene") {
+  nn::Model model(nn::model_preset("tiny"), 1);
+  nn::AdamW adam(model.parameters(), {});
+  const auto scene = affine_scene(32, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}}, -6, 6,
+                                  [](double, double) { return 2.5; });
+  double first = 0, last = 0;
+  for (int step = 0; step < 60; ++step) {
+    model.parameters().clear_grads();
+    const auto stages = model.forward(scene);
+    Var total;
+    for (const auto& s : stages) {
+      const Var term = smooth_l1(s.height, Tensor(s.height.shape(), 2.5f), {}, 1.f);
+      total = total.empty() ? term : total + term;
+    }
+    last = static_cast<double>(total.value().item());
+    if (step == 0) first = last;
+    total.backward();
+    adam.step(3e-3);
+  }
+  CHECK(last < 0.2 * first);
+}
+
+TEST_CASE("wrong inputs are refused by name") {
+  const nn::Model model(nn::model_preset("tiny"), 1);
+  auto scene = hill(24);
+  CHECK_THROWS_WITH_AS(model.forward(scene), "model: views are [3,24,24], expected multiples of 16",
+                       ShapeError);
+  scene = hill();
+  scene.sources.resize(1);
+  CHECK_THROWS_WITH_AS(model.forward(scene), "model: 1 source views, expected two or more",
+                       ShapeError);
+  CHECK_THROWS_WITH_AS(nn::model_preset("huge"),
+                       "preset: 'huge', expected one of tiny, tiny_full, base8, base16, cascade8, "
+                       "paper, mvsplat_like, hisplat_like, skysplat_like",
+                       ConfigError);
+}

@@ -1,0 +1,261 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
+#include "satsurf/core/rng.h"
+#include "satsurf/rpc/raster.h"
+#include "satsurf/rpc/read.h"
+
+#include <cmath>
+#include <limits>
+#include <memory>
+
+#include "tests/ref/rpc_data.h"
+#include "tests/temp_folder.h"
+#include <cpl_conv.h>
+#include <doctest/doctest.h>
+#include <gdal_priv.h>
+
+using namespace satsurf;
+using namespace satsurf::rpc;
+
+namespace {
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
+Tensor heights(const Shape& shape, std::uint64_t seed) {
+  Rng rng(seed);
+  return uniform_tensor<float>(shape, rng, -30, 200);
+}
+
+bool same(const Tensor& a, const Tensor& b) {
+  if (!(a.shape() == b.shape())) return false;
+  for (Index i = 0; i < a.count(); ++i)
+    if (!(a[i] == b[i] || (std::isnan(a[i]) && std::isnan(b[i])))) return false;
+  return true;
+}
+
+/// What a plain GDAL user writes, with the given placement.
+void plain_tiff(const std::filesystem::path& path, std::array<double, 6> transform, int epsg) {
+  GDALAllRegister();
+  auto* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
+  std::unique_ptr<GDALDataset> d(driver->Create(path.c_str(), 4, 3, 1, GDT_Float32, nullptr));
+  REQUIRE(d);
+  d->SetGeoTransform(transform.data());
+  if (epsg != 0) {
+    OGRSpatialReference crs;
+    crs.importFromEPSG(epsg);
+    d->SetSpatialRef(&crs);
+  }
+}
+
+}  // namespace
+
+TEST_CASE("a DSM survives the round trip with system, nodata, unit and datum") {
+  const test::TempFolder scratch("raster");
+  Tensor z = heights({37, 301}, 1);  // more than one tile wide, ragged
+  z[0] = z[5000] = kNan;
+  z[7] = std::numeric_limits<float>::infinity();
+  const GeoGrid grid{UtmZone{17, true}.epsg(), 435000.25, 3358000.75, 0.3};
+  GeoTags tags = ellipsoidal_height("surface model");
+  tags.band_names = {"height"};
+  write_geo_raster(scratch / "dsm.tif", z, grid, tags);
+
+  const GeoRaster back = read_geo_raster(scratch / "dsm.tif");
+  z[7] = kNan;
+  CHECK(same(back.values, z));
+  CHECK(back.grid == grid);
+  CHECK(back.tags.unit == "m");
+  CHECK(back.tags.description == "surface model");
+  CHECK(back.tags.band_names == std::vector<std::string>{"height"});
+  CHECK(back.tags.metadata.at("VERTICAL_DATUM") == "WGS84 ellipsoid");
+  CHECK(back.tags.metadata.at("AREA_OR_POINT") == "Area");
+
+  // As another program sees it.
+  const std::unique_ptr<GDALDataset> d(GDALDataset::Open((scratch / "dsm.tif").c_str()));
+  REQUIRE(d);
+  CHECK(d->GetRasterBand(1)->GetNoDataValue() == -9999);
+  CHECK(std::string(d->GetRasterBand(1)->GetUnitType()) == "m");
+  CHECK(std::string(d->GetMetadataItem("COMPRESSION", "IMAGE_STRUCTURE")) == "DEFLATE");
+  CHECK(std::string(d->GetMetadataItem("PREDICTOR", "IMAGE_STRUCTURE")) == "3");
+  int bx = 0, by = 0;
+  d->GetRasterBand(1)->GetBlockSize(&bx, &by);
+  CHECK(bx == 256);
+  CHECK(by == 256);
+  REQUIRE(d->GetSpatialRef());
+  CHECK(std::string(d->GetSpatialRef()->GetAuthorityCode(nullptr)) == "32617");
+  // Only the file itself is left in the folder.
+  CHECK(std::distance(std::filesystem::directory_iterator(scratch.path()), {}) == 1);
+}
+
+TEST_CASE("several bands, a southern zone, no system") {
+  const test::TempFolder scratch("raster");
+  const Tensor z = heights({3, 5, 7}, 2);
+  write_geo_raster(scratch / "a.tif", z, {UtmZone{40, false}.epsg(), 1, 2, 3});
+  GeoRaster back = read_geo_raster(scratch / "a.tif");
+  CHECK(same(back.values, z));
+  CHECK(back.grid.epsg == 32740);
+  write_geo_raster(scratch / "b.tif", z, {0, 1, 2, 3}, GeoTags{"", "", {}, {}});
+  back = read_geo_raster(scratch / "b.tif");
+  CHECK(back.grid.epsg == 0);
+  CHECK(back.tags.unit.empty());
+  CHECK(back.tags.band_names.empty());
+  CHECK(read_geo_raster(scratch / "b.tif", UtmZone{5, true}).grid.epsg == 32605);
+}
+
+TEST_CASE("one pixel is a raster") {
+  const test::TempFolder scratch("raster");
+  const Tensor z = heights({1, 1}, 3);
+  write_geo_raster(scratch / "one.tif", z, {32631, 500000, 5000000, 0.5});
+  CHECK(same(read_geo_raster(scratch / "one.tif").values, z));
+}
+
+TEST_CASE("the same values give the same bytes, over an older file too") {
+  const test::TempFolder scratch("raster");
+  const Tensor z = heights({65, 33}, 4);
+  const GeoGrid grid{32617, 1, 2, 0.5};
+  test::write_bytes(scratch / "a.tif", "what stood here before");
+  write_geo_raster(scratch / "a.tif", z, grid, ellipsoidal_height("x"));
+  write_geo_raster(scratch / "b.tif", z, grid, ellipsoidal_height("x"));
+  const std::string a = test::read_bytes(scratch / "a.tif");
+  CHECK(a.size() > 1000);
+  CHECK(a == test::read_bytes(scratch / "b.tif"));
+  const Tensor rgb = heights({3, 9, 11}, 5);
+  write_rpc_geotiff(scratch / "c.tif", rgb, PixelType::uint8, test::synthetic_rpc());
+  write_rpc_geotiff(scratch / "d.tif", rgb, PixelType::uint8, test::synthetic_rpc());
+  CHECK(test::read_bytes(scratch / "c.tif") == test::read_bytes(scratch / "d.tif"));
+}
+
+TEST_CASE("what cannot be written is refused, and nothing is left behind") {
+  const test::TempFolder scratch("raster");
+  const auto path = scratch / "x.tif";
+  CHECK_THROWS_WITH_AS(write_geo_raster(path, Tensor({4}), {32617, 0, 0, 1}),
+                       "write_geo_raster: values [4], expected [H W] or [C H W]", ShapeError);
+  CHECK_THROWS_WITH_AS(write_geo_raster(path, Tensor({4, 3}), {32617, 0, 0, 0}),
+                       "write_geo_raster: cells of 0 m, expected a positive size", Error);
+  CHECK_THROWS_WITH_AS(write_geo_raster(path, Tensor({4, 3}), {99999, 0, 0, 1}),
+                       "EPSG:99999: not a known reference system, expected a projected one", Error);
+  CHECK_THROWS_WITH_AS(
+      write_geo_raster(path, Tensor({4, 3}), {32617, 0, 0, 1}, GeoTags{"m", "", {"a", "b"}, {}}),
+      "write_geo_raster: 2 band names, expected 1", Error);
+  CHECK_THROWS_WITH_AS(write_rpc_geotiff(path, Tensor({4, 3}), PixelType::uint8, {}),
+                       "write_rpc_geotiff: values [4,3], expected [C H W]", ShapeError);
+  CHECK(std::filesystem::is_empty(scratch.path()));
+  test::write_bytes(scratch / "file", "");
+  CHECK_THROWS_AS(write_geo_raster(scratch / "file/x.tif", Tensor({4, 3}), {32617, 0, 0, 1}),
+                  IoError);
+}
+
+TEST_CASE("rasters that are no grid of the ground are refused") {
+  const test::TempFolder scratch("raster");
+  const std::string p = (scratch / "x.tif").string();
+  plain_tiff(p, {10, 0.5, 0.1, 20, 0.1, -0.5}, 32617);
+  CHECK_THROWS_WITH_AS(
+      read_geo_raster(p),
+      (p + ": cells of (0.5, 0.1; 0.1, -0.5), expected square ones with north up; warp it first "
+           "(gdalwarp)")
+          .c_str(),
+      IoError);
+  plain_tiff(p, {10, 0.5, 0, 20, 0, -0.25}, 32617);
+  CHECK_THROWS_AS(read_geo_raster(p), IoError);
+  plain_tiff(p, {10, 0.5, 0, 20, 0, 0.5}, 32617);
+  CHECK_THROWS_AS(read_geo_raster(p), IoError);
+  plain_tiff(p, {10, 0.5, 0, 20, 0, -0.5}, 4326);
+  CHECK_THROWS_WITH_AS(
+      read_geo_raster(p),
+      (p +
+       ": coordinates in degrees, expected a projected system in metres; warp it first (gdalwarp)")
+          .c_str(),
+      IoError);
+  plain_tiff(p, {0, 1, 0, 0, 0, 1}, 0);
+  CHECK_THROWS_WITH_AS(
+      read_geo_raster(p),
+      (p + ": no georeference, expected one in the file or in " + (scratch / "x.txt").string())
+          .c_str(),
+      IoError);
+  CHECK_THROWS_WITH_AS(
+      read_geo_raster(scratch / "none.tif"),
+      ((scratch / "none.tif").string() + ": no such file, expected a raster").c_str(), IoError);
+}
+
+TEST_CASE("the contest's layout: a bare raster and its grid in a text file") {
+  const test::TempFolder scratch("raster");
+  const Tensor z = heights({1, 6, 6}, 6);
+  write_rpc_geotiff(scratch / "S_DSM.tif", z, PixelType::uint16, test::synthetic_rpc());
+  write_rpc_geotiff(scratch / "S_CLS.tif", z, PixelType::uint8, test::synthetic_rpc());
+  const GeoGrid grid{UtmZone{17, true}.epsg(), 435000.5, 3358100, 0.5};
+  write_dfc_grid(scratch / "S_DSM.txt", grid, 6);
+  CHECK(test::read_bytes(scratch / "S_DSM.txt") ==
+        "435000.500000\n3358097.000000\n6.000000\n0.500000\n");
+  CHECK(read_geo_raster(scratch / "S_DSM.tif", UtmZone{17, true}).grid == grid);
+  CHECK(read_geo_raster(scratch / "S_CLS.tif", UtmZone{17, true}).grid == grid);
+  CHECK(read_geo_raster(scratch / "S_DSM.tif").grid.epsg == 0);
+
+  const std::string text = (scratch / "S_DSM.txt").string();
+  write_dfc_grid(text, grid, 7);
+  CHECK_THROWS_WITH_AS(
+      read_geo_raster(scratch / "S_DSM.tif"),
+      (text + ": 7 cells per side of 0.5 m, but " + (scratch / "S_DSM.tif").string() + " has 6 x 6")
+          .c_str(),
+      IoError);
+  test::write_bytes(text, "1\n2\nsix\n0.5\n");
+  CHECK_THROWS_WITH_AS(read_geo_raster(scratch / "S_DSM.tif"),
+                       (text + ": 'six', expected a number").c_str(), IoError);
+  test::write_bytes(text, "1\n2\n6\n");
+  CHECK_THROWS_AS(read_geo_raster(scratch / "S_DSM.tif"), IoError);
+}
+
+TEST_CASE("real truth: DFC2019 surface models land in their place") {
+  const auto data = test::data_folder();
+  if (data.empty()) return;
+  const GeoRaster dsm = read_geo_raster(data / "dfc_truth/JAX_004_DSM.tif", UtmZone{17, true});
+  CHECK(dsm.values.shape() == Shape{512, 512});
+  CHECK(dsm.grid.epsg == 32617);
+  CHECK(dsm.grid.step == 0.5);
+  const auto [lon, lat] = geodetic_from_utm({17, true}, dsm.grid.x0 + 128, dsm.grid.y0 - 128);
+  CHECK(std::abs(lon + 81.7) < 0.1);
+  CHECK(std::abs(lat - 30.35) < 0.1);
+  const GeoRaster classes = read_geo_raster(data / "dfc_truth/JAX_004_CLS.tif", UtmZone{17, true});
+  CHECK(classes.grid == dsm.grid);
+  const GeoRaster reference = read_geo_raster(data / "pleiades_pair/reference_dsm.tif");
+  CHECK(reference.grid == GeoGrid{32740, 359746, 7651923, 0.5});
+  CHECK(reference.values.shape() == Shape{739, 721});
+  Index holes = 0;
+  for (const float v : reference.values.values()) holes += std::isnan(v);
+  CHECK(holes > 0);
+}
+
+TEST_CASE("an image with its camera in the tag comes back the same") {
+  const test::TempFolder scratch("raster");
+  const Rpc rpc = test::synthetic_rpc();
+  Tensor pixels = Tensor::from({2, 1, 3}, {0, 1.4F, 254.6F, -5, 300, kNan});
+  write_rpc_geotiff(scratch / "a.tif", pixels, PixelType::uint8, rpc,
+                    {{"SUN_ELEVATION", "42.5"},
+                     {"SUN_AZIMUTH", "150"},
+                     {"ACQUISITION_DATE", "20150215161208"},
+                     {"MIN_ALT", "-27"},
+                     {"MAX_ALT", "30.5"}});
+  const Image back = read_image(scratch / "a.tif");
+  CHECK(same(back.pixels, Tensor::from({2, 1, 3}, {0, 1, 255, 0, 255, 0})));
+  REQUIRE(back.info.rpc);
+  // GDAL hands the tag's doubles out with 15 digits.
+  for (const Geodetic& p : {Geodetic{12.31, 45.08, 30}, Geodetic{12.28, 45.13, 400}}) {
+    const Pixel a = rpc.project(p), b = back.info.rpc->project(p);
+    CHECK(std::hypot(a.x - b.x, a.y - b.y) < 1e-6);
+  }
+  CHECK(back.info.rpc_source == "TIFF tag");
+  CHECK(back.info.dtype == "uint8");
+  CHECK(back.info.bands == 2);
+  CHECK(back.info.sun_elevation_deg == 42.5);
+  CHECK(back.info.sun_azimuth_deg == 150);
+  CHECK(back.info.acquisition_date == "20150215161208");
+  REQUIRE(back.info.height_range);
+  CHECK(back.info.height_range->low == -27);
+  CHECK(back.info.height_range->high == 30.5);
+  CHECK(!back.info.geotransform);
+
+  const Tensor wide = Tensor::from({1, 2, 2}, {0, 255.5F, 40000, 70000});
+  write_rpc_geotiff(scratch / "b.tif", wide, PixelType::uint16, rpc);
+  CHECK(
+      same(read_image(scratch / "b.tif").pixels, Tensor::from({1, 2, 2}, {0, 256, 40000, 65535})));
+  CHECK(read_info(scratch / "b.tif").dtype == "uint16");
+  CHECK(std::distance(std::filesystem::directory_iterator(scratch.path()), {}) == 2);
+}

@@ -1,0 +1,684 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
+#include "satsurf/core/parallel.h"
+#include "satsurf/core/rng.h"
+#include "satsurf/rpc/raster.h"
+#include "satsurf/rpc/read.h"
+
+#include <algorithm>
+#include <cmath>
+#include <iomanip>
+#include <limits>
+#include <memory>
+#include <sstream>
+
+#include "tests/ref/rpc_data.h"
+#include "tests/temp_folder.h"
+#include <cpl_error.h>
+#include <cpl_string.h>
+#include <doctest/doctest.h>
+#include <gdal_priv.h>
+
+using namespace satsurf;
+using namespace satsurf::rpc;
+using test::error_of;
+using test::TempFolder;
+using test::write_bytes;
+
+namespace {
+
+const float kNan = std::numeric_limits<float>::quiet_NaN();
+
+/// A raster without a camera or place; band b holds b, b + 1, ...
+void plain_tiff(const std::filesystem::path& path, int width, int height, int bands,
+                GDALDataType type, const std::vector<float>& first_band = {},
+                std::optional<double> nodata = {}, bool alpha = false) {
+  GDALAllRegister();
+  auto* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
+  std::unique_ptr<GDALDataset> d(driver->Create(path.c_str(), width, height, bands, type, nullptr));
+  REQUIRE(d);
+  for (int b = 1; b <= bands; ++b) {
+    std::vector<float> v(static_cast<std::size_t>(width * height));
+    for (std::size_t i = 0; i < v.size(); ++i) v[i] = static_cast<float>(b) + static_cast<float>(i);
+    if (b == 1 && !first_band.empty()) v = first_band;
+    if (alpha && b == bands)
+      for (std::size_t i = 0; i < v.size(); ++i) v[i] = i == 0 ? 0 : 255;
+    if (nodata) d->GetRasterBand(b)->SetNoDataValue(*nodata);
+    if (alpha && b == bands) d->GetRasterBand(b)->SetColorInterpretation(GCI_AlphaBand);
+    REQUIRE(d->GetRasterBand(b)->RasterIO(GF_Write, 0, 0, width, height, v.data(), width, height,
+                                          GDT_Float32, 0, 0, nullptr) == CE_None);
+  }
+}
+
+std::string join(const std::array<double, 20>& c, const char* separator) {
+  std::ostringstream out;
+  out << std::setprecision(17);
+  for (std::size_t i = 0; i < 20; ++i) out << (i ? separator : "") << c[i];
+  return out.str();
+}
+
+struct Written {
+  const char *text, *maxar, *rpcm;
+  double value;
+};
+std::vector<Written> scalars(const Rpc& r) {
+  return {{"LINE_OFF", "line Offset", "row_offset", r.line_off},
+          {"SAMP_OFF", "samp Offset", "col_offset", r.samp_off},
+          {"LAT_OFF", "lat Offset", "lat_offset", r.lat_off},
+          {"LONG_OFF", "long Offset", "lon_offset", r.lon_off},
+          {"HEIGHT_OFF", "height Offset", "alt_offset", r.height_off},
+          {"LINE_SCALE", "line Scale", "row_scale", r.line_scale},
+          {"SAMP_SCALE", "samp Scale", "col_scale", r.samp_scale},
+          {"LAT_SCALE", "lat Scale", "lat_scale", r.lat_scale},
+          {"LONG_SCALE", "long Scale", "lon_scale", r.lon_scale},
+          {"HEIGHT_SCALE", "height Scale", "alt_scale", r.height_scale}};
+}
+struct WrittenList {
+  const char *text, *maxar, *rpcm;
+  const std::array<double, 20>& values;
+};
+std::vector<WrittenList> lists(const Rpc& r) {
+  return {{"LINE_NUM_COEFF", "lineNumCoef", "row_num", r.line_num},
+          {"LINE_DEN_COEFF", "lineDenCoef", "row_den", r.line_den},
+          {"SAMP_NUM_COEFF", "sampNumCoef", "col_num", r.samp_num},
+          {"SAMP_DEN_COEFF", "sampDenCoef", "col_den", r.samp_den}};
+}
+std::string without_blank(std::string s) {
+  std::erase(s, ' ');
+  return s;
+}
+
+std::string as_text(const Rpc& r) {
+  std::ostringstream out;
+  out << std::setprecision(17) << std::showpos;
+  for (const auto& s : scalars(r)) out << s.text << ": " << s.value << " units\r\n";
+  for (const auto& l : lists(r))
+    for (std::size_t i = 0; i < 20; ++i)
+      out << l.text << "_" << std::noshowpos << i + 1 << std::showpos << ": " << l.values[i]
+          << "\r\n";
+  return out.str();
+}
+std::string as_rpb(const Rpc& r) {
+  std::ostringstream out;
+  out << std::setprecision(17)
+      << "satId = \"X\";\nbandId = \"P\";\nSpecId = \"RPC00B\";\nBEGIN_GROUP = IMAGE\n"
+      << "\terrBias = 1;\n\terrRand = 0.1;\n";
+  for (const auto& s : scalars(r))
+    out << "\t" << without_blank(s.maxar) << " = " << s.value << ";\n";
+  for (const auto& l : lists(r))
+    out << "\t" << l.maxar << " = (\n\t\t\t" << join(l.values, ",\n\t\t\t") << ");\n";
+  out << "END_GROUP = IMAGE\nEND;\n";
+  return out.str();
+}
+std::string upper_of(std::string s) {
+  for (char& c : s) c = static_cast<char>(std::toupper(c));
+  return s;
+}
+std::string as_maxar_xml(const Rpc& r) {
+  std::ostringstream out;
+  out << std::setprecision(17)
+      << "<?xml version=\"1.0\"?>\n<isd><IMD><IMAGE><MEANSUNEL>40.3</MEANSUNEL><MEANSUNAZ>162.1"
+      << "</MEANSUNAZ><FIRSTLINETIME>2015-09-30T10:56:56Z</FIRSTLINETIME></IMAGE></"
+         "IMD><RPB><IMAGE>";
+  for (const auto& s : scalars(r)) {
+    const std::string name = upper_of(without_blank(s.maxar));
+    out << "<" << name << ">" << s.value << "</" << name << ">";
+  }
+  for (const auto& l : lists(r)) {
+    const std::string name = upper_of(l.maxar);
+    out << "<" << name << "List><" << name << ">" << join(l.values, " ") << "</" << name << "></"
+        << name << "List>";
+  }
+  out << "</IMAGE></RPB></isd>\n";
+  return out.str();
+}
+std::string as_dimap(const Rpc& r) {
+  std::ostringstream out;
+  out << std::setprecision(17)
+      << "<?xml version=\"1.0\"?>\n<Dimap_Document><Rational_Function_Model><Global_RFM>"
+      << "<Direct_Model><LINE_NUM_COEFF_1>77</LINE_NUM_COEFF_1></Direct_Model><Inverse_Model>";
+  for (const auto& l : lists(r))
+    for (std::size_t i = 0; i < 20; ++i)
+      out << "<" << l.text << "_" << i + 1 << ">" << l.values[i] << "</" << l.text << "_" << i + 1
+          << ">";
+  out << "</Inverse_Model><RFM_Validity>";
+  for (const auto& s : scalars(r)) {
+    const bool pixel = std::string(s.text) == "LINE_OFF" || std::string(s.text) == "SAMP_OFF";
+    out << "<" << s.text << ">" << s.value + (pixel ? 1 : 0) << "</" << s.text << ">";
+  }
+  out << "</RFM_Validity></Global_RFM></Rational_Function_Model></Dimap_Document>\n";
+  return out.str();
+}
+/// 170 lines; the last 80 are the inverse polynomials, which must not be mistaken for the forward
+/// ones.
+std::string as_whu(const Rpc& r) {
+  std::ostringstream out;
+  out << std::setprecision(17);
+  for (const auto& s : scalars(r)) out << s.text << ": " << s.value << " pixels\n";
+  for (const auto& l : lists(r))
+    for (std::size_t i = 0; i < 20; ++i)
+      out << l.text << "_" << i + 1 << ": " << l.values[i] << "\n";
+  for (const char* name : {"LAT_NUM", "LAT_DEN", "LONG_NUM", "LONG_DEN"})
+    for (int i = 1; i <= 20; ++i) out << name << "_COEFF_" << i << ": " << 1000 + i << "\n";
+  return out.str();
+}
+nlohmann::json as_rpcm(const Rpc& r) {
+  nlohmann::json j;
+  for (const auto& s : scalars(r)) j[s.rpcm] = s.value;
+  for (const auto& l : lists(r)) j[l.rpcm] = l.values;
+  return j;
+}
+nlohmann::json as_satnerf(const Rpc& r, const std::string& image, int width, int height) {
+  return {{"img", image},       {"width", width},     {"height", height},
+          {"min_alt", -27},     {"max_alt", "+30.5"}, {"sun_elevation", "+42.2"},
+          {"sun_azimuth", 150}, {"rpc", as_rpcm(r)},  {"acquisition_date", "20150215161208"}};
+}
+
+double worst_difference(const Rpc& a, const Rpc& b) {
+  Rng rng(1);
+  double worst = 0;
+  for (int i = 0; i < 30; ++i) {
+    const Geodetic p{a.lon_off + a.lon_scale * rng.uniform(-1, 1),
+                     a.lat_off + a.lat_scale * rng.uniform(-1, 1),
+                     a.height_off + a.height_scale * rng.uniform(-1, 1)};
+    const Pixel u = a.project(p), v = b.project(p);
+    worst = std::max(worst, std::hypot(u.x - v.x, u.y - v.y));
+  }
+  return worst;
+}
+
+/// GDAL's own reading of a camera file that stands beside an image the way the vendor delivers it.
+Rpc gdal_reads(const std::filesystem::path& image) {
+  const std::unique_ptr<GDALDataset> d(GDALDataset::Open(image.c_str()));
+  REQUIRE(d);
+  char** items = d->GetMetadata("RPC");
+  REQUIRE(items != nullptr);
+  GDALRPCInfoV2 g;
+  REQUIRE(GDALExtractRPCInfoV2(items, &g));
+  Rpc r;
+  r.line_off = g.dfLINE_OFF, r.samp_off = g.dfSAMP_OFF, r.lat_off = g.dfLAT_OFF,
+  r.lon_off = g.dfLONG_OFF;
+  r.height_off = g.dfHEIGHT_OFF, r.line_scale = g.dfLINE_SCALE, r.samp_scale = g.dfSAMP_SCALE;
+  r.lat_scale = g.dfLAT_SCALE, r.lon_scale = g.dfLONG_SCALE, r.height_scale = g.dfHEIGHT_SCALE;
+  std::copy_n(g.adfLINE_NUM_COEFF, 20, r.line_num.begin());
+  std::copy_n(g.adfLINE_DEN_COEFF, 20, r.line_den.begin());
+  std::copy_n(g.adfSAMP_NUM_COEFF, 20, r.samp_num.begin());
+  std::copy_n(g.adfSAMP_DEN_COEFF, 20, r.samp_den.begin());
+  return r;
+}
+
+const std::string kDim =
+    "<?xml version=\"1.0\"?>\n<Dimap_Document><Metadata_Identification><METADATA_FORMAT "
+    "version=\"2.0\">DIMAP</METADATA_FORMAT></Metadata_Identification></Dimap_Document>\n";
+
+}  // namespace
+
+TEST_CASE("every dialect of a camera file says the same camera") {
+  const TempFolder folder("read");
+  const Rpc rpc = test::synthetic_rpc();
+  const std::vector<std::pair<std::string, std::string>> files{
+      {"a_RPC.TXT", as_text(rpc)},
+      {"a.RPB", as_rpb(rpc)},
+      {"a.XML", as_maxar_xml(rpc)},
+      {"RPC_a.XML", as_dimap(rpc)},
+      {"a.rpc", as_whu(rpc)},
+      {"a.json", as_satnerf(rpc, "a.tif", 8, 8).dump()},
+      {"bare.json", as_rpcm(rpc).dump(1)}};
+  for (const auto& [name, text] : files) {
+    CAPTURE(name);
+    write_bytes(folder / name, text);
+    const Rpc read = read_rpc_file(folder / name);
+    CHECK(read.line_off == doctest::Approx(rpc.line_off).epsilon(1e-14));
+    CHECK(worst_difference(rpc, read) < 1e-8);
+  }
+}
+
+TEST_CASE("a camera beside an image is found, and its source told") {
+  const Rpc rpc = test::synthetic_rpc();
+  const auto source = [&](const std::string& image,
+                          const std::vector<std::pair<std::string, std::string>>& sidecars) {
+    const TempFolder folder("sidecar");
+    plain_tiff(folder / image, 8, 6, 1, GDT_UInt16);
+    for (const auto& [name, text] : sidecars) write_bytes(folder / name, text);
+    const RasterInfo info = view_info(folder / image);
+    CHECK(worst_difference(rpc, *info.rpc) < 1e-6);
+    CHECK(worst_difference(gdal_reads(folder / image), *info.rpc) == 0);
+    if (info.rpc_source == "Maxar XML") {
+      CHECK(info.sun_elevation_deg == 40.3);
+      CHECK(info.sun_azimuth_deg == 162.1);
+      CHECK(info.acquisition_date.has_value());
+    }
+    REQUIRE(info.files.size() >= 2);
+    CHECK(info.files[0] == folder / image);
+    for (const auto& [name, text] : sidecars)
+      CHECK(std::count(info.files.begin(), info.files.end(), folder / name) == 1);
+    return info.rpc_source;
+  };
+  CHECK(source("a.tif", {{"a.RPB", as_rpb(rpc)}}) == "RPB");
+  CHECK(source("a.tif", {{"a_RPC.TXT", as_text(rpc)}}) == "_RPC.TXT");
+  CHECK(source("a.tif", {{"a_rpc.txt", as_text(rpc)}}) == "_RPC.TXT");
+  CHECK(source("a.tif", {{"a.XML", as_maxar_xml(rpc)}}) == "Maxar XML");
+  CHECK(source("IMG_a_R1C1.TIF", {{"RPC_a.XML", as_dimap(rpc)}, {"DIM_a.XML", kDim}}) == "DIMAP");
+}
+
+TEST_CASE("a camera that GDAL leaves aside is found all the same") {
+  const Rpc rpc = test::synthetic_rpc();
+  const auto source = [&](const std::string& image, const std::string& sidecar,
+                          const std::string& text) {
+    const TempFolder folder("aside");
+    plain_tiff(folder / "t.tif", 8, 6, 1, GDT_Byte);
+    const std::unique_ptr<GDALDataset> from(GDALDataset::Open((folder / "t.tif").c_str()));
+    auto* driver =
+        GetGDALDriverManager()->GetDriverByName(image.ends_with(".png") ? "PNG" : "GTiff");
+    REQUIRE(driver);
+    const std::unique_ptr<GDALDataset> to(
+        driver->CreateCopy((folder / image).c_str(), from.get(), FALSE, nullptr, nullptr, nullptr));
+    REQUIRE(to);
+    write_bytes(folder / sidecar, text);
+    const RasterInfo info = view_info(folder / image);
+    CHECK(worst_difference(rpc, *info.rpc) < 1e-8);
+    CHECK(std::count(info.files.begin(), info.files.end(), folder / image) == 1);
+    CHECK(std::count(info.files.begin(), info.files.end(), folder / sidecar) == 1);
+    return info.rpc_source;
+  };
+  CHECK(source("a.png", "a_RPC.TXT", as_text(rpc)) == "_RPC.TXT");
+  CHECK(source("a.png", "a.rpc", as_whu(rpc)) == ".rpc file");
+  CHECK(source("a.tif", "a.rpc", as_whu(rpc)) == ".rpc file");
+  CHECK(source("a.png", "a.RPB", as_rpb(rpc)) == "RPB");
+  CHECK(source("a.png", "a.XML", as_maxar_xml(rpc)) == "Maxar XML");
+  CHECK(source("IMG_a.tif", "RPC_a.XML", as_dimap(rpc)) == "DIMAP");
+  // An XML file about something else is no camera.
+  CHECK(error_of<IoError>([&] {
+          source("a.png", "a.XML", "<metadata/>");
+        }).find(": no camera (RPC)") != std::string::npos);
+}
+
+TEST_CASE("NITF carries its camera in RPC00B") {
+  const TempFolder folder("nitf");
+  Rpc rpc = test::synthetic_rpc();
+  rpc.line_off = 10000, rpc.samp_off = 10001,
+  rpc.lon_scale = 0.064;  // as many digits as RPC00B has
+  write_rpc_geotiff(folder / "a.tif", Tensor({1, 16, 16}, 7), PixelType::uint8, rpc);
+  {
+    const std::unique_ptr<GDALDataset> from(GDALDataset::Open((folder / "a.tif").c_str()));
+    auto* driver = GetGDALDriverManager()->GetDriverByName("NITF");
+    REQUIRE(driver);
+    char** options = CSLAddString(nullptr, "RPC00B=YES");
+    CPLPushErrorHandler(CPLQuietErrorHandler);  // the TRE has fewer digits than our numbers
+    const std::unique_ptr<GDALDataset> to(driver->CreateCopy((folder / "a.ntf").c_str(), from.get(),
+                                                             FALSE, options, nullptr, nullptr));
+    CPLPopErrorHandler();
+    CSLDestroy(options);
+    REQUIRE(to);
+  }
+  std::filesystem::remove(folder / "a.ntf.aux.xml");
+  const RasterInfo info = read_info(folder / "a.ntf");
+  CHECK(info.rpc_source == "NITF");
+  REQUIRE(info.rpc);
+  CHECK(worst_difference(rpc, *info.rpc) <
+        3);  // RPC00B rounds offsets to whole pixels and 1e-4 degrees
+}
+
+TEST_CASE("damaged camera files are refused by name") {
+  const TempFolder folder("damaged");
+  const std::string p = (folder / "c").string();
+  const Rpc rpc = test::synthetic_rpc();
+  const auto says = [&](const std::string& text) {
+    write_bytes(p, text);
+    return error_of<IoError>([&] { read_rpc_file(p); });
+  };
+  CHECK(error_of<IoError>([&] { read_rpc_file(p); }) ==
+        p + ": no such file, expected a camera file");
+  CHECK(says(" \n") == p + ": empty, expected a camera file");
+  CHECK(says("hello: 5\n") == p + ": no camera in a known form, expected _RPC.TXT, RPB, Maxar or "
+                                  "DIMAP XML, WHU-TLC or Sat-NeRF JSON");
+  std::string text = as_text(rpc);
+  text.erase(text.rfind("SAMP_DEN_COEFF_20"));
+  CHECK(says(text) == p + ": key SAMP_DEN_COEFF_20 is missing");
+  text = as_text(rpc);
+  text.replace(text.find("LAT_SCALE: "), 12, "LAT_SCALE: x");
+  CHECK(says(text).find(p + ": LAT_SCALE is '") == 0);
+  CHECK(says("<a><b></a>").find(p + ": damaged XML; ") == 0);
+  CHECK(says("<a/>") ==
+        p + ": XML without a camera, expected an RPB (Maxar) or Global_RFM (DIMAP) element");
+  CHECK(says("{\"row_offset\": ") == p + ": damaged JSON at byte 16");
+  Rpc flat = rpc;
+  flat.lon_scale = 0;
+  CHECK(says(as_text(flat)) == p + ": LONG_SCALE is 0, expected another number");
+  flat = rpc;
+  flat.samp_den = {};
+  CHECK(says(as_text(flat)) == p + ": all of SAMP_DEN_COEFF are 0, expected a polynomial");
+  text = as_rpb(rpc);
+  text.replace(text.find("lineDenCoef = (\n\t\t\t1,"), 20, "lineDenCoef = (");
+  CHECK(says(text) == p + ": LINE_DEN_COEFF holds 19 numbers, expected 20");
+  // A later line does not help a number that is none; a comma is no decimal point.
+  text = as_text(rpc);
+  text.replace(text.find("LINE_OFF: +9999.5"), 17, "LINE_OFF: +9999,5");
+  CHECK(says(text) == p + ": LINE_OFF is ' +9999,5 units\r', expected a number");
+}
+
+TEST_CASE("Sat-NeRF JSON: tolerant numbers, strict keys") {
+  const TempFolder folder("json");
+  const std::string p = (folder / "v.json").string();
+  const Rpc rpc = test::synthetic_rpc();
+  nlohmann::json j = as_satnerf(rpc, "v.tif", 9, 7);
+  j["rpc"]["row_offset"] = "+9999.5";
+  write_bytes(p, j.dump());
+  const SatNerfJson read = read_satnerf_json(p);
+  CHECK(read.image == "v.tif");
+  CHECK(read.width == 9);
+  CHECK(read.height == 7);
+  CHECK(read.rpc == rpc);
+  CHECK(read.min_alt == -27);
+  CHECK(read.max_alt == 30.5);
+  CHECK(read.sun_elevation_deg == 42.2);
+  CHECK(read.sun_azimuth_deg == 150);
+  CHECK(read.acquisition_date == "20150215161208");
+
+  const auto says = [&](nlohmann::json changed) {
+    write_bytes(p, changed.dump());
+    return error_of<IoError>([&] { read_satnerf_json(p); });
+  };
+  for (const char* key : {"img", "width", "height", "rpc", "min_alt", "max_alt"}) {
+    nlohmann::json without = j;
+    without.erase(key);
+    CHECK(says(without) == p + ": key \"" + key + "\" is missing");
+  }
+  nlohmann::json wrong = j;
+  wrong["rpc"].erase("col_den");
+  CHECK(says(wrong) == p + ": key \"col_den\" is missing");
+  wrong = j;
+  wrong["sun_elevation"] = "high";
+  CHECK(says(wrong) == p + ": key \"sun_elevation\" is \"high\", expected a number");
+  wrong = j;
+  wrong["rpc"]["row_num"] = {1, 2, 3};
+  CHECK(says(wrong) == p + ": key \"row_num\" is no list of 20 numbers");
+  wrong = j;
+  wrong["width"] = -3;
+  CHECK(says(wrong) == p + ": key \"width\" is -3, expected pixels");
+  wrong = j;
+  wrong["max_alt"] = -30;
+  CHECK(says(wrong) == p + ": key \"min_alt\" is not below \"max_alt\"");
+  CHECK(says(nlohmann::json::array({1})) == p + ": key \"img\" is missing");
+}
+
+TEST_CASE("a view is a raster or a JSON that names one") {
+  const TempFolder folder("view");
+  const Rpc tag = test::synthetic_rpc(), adjusted = test::synthetic_rpc(12.3001);
+  std::filesystem::create_directories(folder / "images");
+  const auto tif = folder / "images/v.tif";
+  write_rpc_geotiff(tif, Tensor({1, 7, 9}, 5), PixelType::uint8, tag, {{"SUN_ELEVATION", "1"}});
+  const std::string p = (folder / "v.json").string();
+  write_bytes(p, as_satnerf(adjusted, "v.tif", 9, 7).dump());
+
+  CHECK(error_of<IoError>([&] { open_view(p); }) ==
+        p + ": its image \"v.tif\" was not found, looked for " + (folder / "v.tif").string() +
+            "; name its folder");
+  const Image view = open_view(p, {folder / "elsewhere", folder / "images"});
+  CHECK(*view.info.rpc == adjusted);
+  CHECK(view.info.rpc_source == "Sat-NeRF JSON");
+  CHECK(view.info.files == std::vector<std::filesystem::path>{p, tif});
+  CHECK(view.info.sun_elevation_deg == 42.2);
+  REQUIRE(view.info.height_range);
+  CHECK(view.info.height_range->high == 30.5);
+  CHECK(view.pixels.shape() == Shape{1, 7, 9});
+  CHECK(view_info(p, {folder / "images"}).rpc == view.info.rpc);
+  CHECK(worst_difference(*open_view(tif).info.rpc, tag) < 1e-6);
+
+  write_bytes(p, as_satnerf(adjusted, "v.tif", 9, 8).dump());
+  CHECK(error_of<IoError>([&] { open_view(p, {folder / "images"}); }) ==
+        p + ": says 9 x 8 px, but " + tif.string() + " has 9 x 7");
+
+  plain_tiff(folder / "bare.tif", 4, 4, 1, GDT_Byte);
+  CHECK(error_of<IoError>([&] { open_view(folder / "bare.tif"); }) ==
+        (folder / "bare.tif").string() +
+            ": no camera (RPC), looked for bare.RPB, bare.XML, bare_RPC.TXT, bare_rpc.txt, "
+            "bare.rpc, the "
+            "TIFF tag or NITF RPC00B "
+            "of the file itself");
+}
+
+TEST_CASE("pixel types, windows and the camera of a window") {
+  const TempFolder folder("pixels");
+  const std::vector<std::pair<GDALDataType, std::string>> types{
+      {GDT_Byte, "uint8"}, {GDT_UInt16, "uint16"}, {GDT_Int16, "int16"}, {GDT_Float32, "float32"}};
+  for (const auto& [type, name] : types) {
+    CAPTURE(name);
+    plain_tiff(folder / "t.tif", 5, 3, 2, type);
+    const Image image = read_image(folder / "t.tif");
+    CHECK(image.info.dtype == name);
+    CHECK(image.pixels.shape() == Shape{2, 3, 5});
+    CHECK(image.valid.shape() == Shape{3, 5});
+    CHECK(image.pixels[0] == 1);
+    CHECK(image.pixels[15 + 7] == 9);
+    CHECK(image.valid[14] == 1);
+  }
+  write_rpc_geotiff(folder / "c.tif", read_image(folder / "t.tif").pixels, PixelType::uint8,
+                    test::synthetic_rpc());
+  const Rpc whole = *read_info(folder / "c.tif").rpc;
+  const Image part = read_image(folder / "c.tif", PixelWindow{1, 2, 3, 1});
+  CHECK(part.pixels.shape() == Shape{2, 1, 3});
+  CHECK(part.pixels[0] == 12);
+  CHECK(part.info.width == 3);
+  CHECK(part.info.height == 1);
+  CHECK(*part.info.rpc == whole.cropped(1, 2));
+  CHECK(error_of<IoError>([&] {
+          read_image(folder / "c.tif", PixelWindow{3, 0, 3, 1});
+        }) ==
+        (folder / "c.tif").string() + ": window of 3 x 1 px at (3, 0), expected one inside 5 x 3");
+}
+
+TEST_CASE("what is no pixel: nodata, NaN, alpha") {
+  const TempFolder folder("valid");
+  const auto path = folder / "v.tif";
+  plain_tiff(path, 2, 2, 1, GDT_Float32, {kNan, 2, -9999, 4}, -9999);
+  Image image = read_image(path);
+  CHECK(image.info.nodata == -9999);
+  CHECK(image.valid[0] == 0);
+  CHECK(image.valid[1] == 1);
+  CHECK(image.valid[2] == 0);
+  CHECK(image.valid[3] == 1);
+
+  // Nodata in one channel of several is a colour; in all, a hole.
+  plain_tiff(path, 2, 1, 3, GDT_Byte, {3, 0}, 3.0);
+  image = read_image(path);  // bands: (3, 0), (2, 3), (3, 4)
+  CHECK(image.valid[0] == 1);
+  CHECK(image.valid[1] == 1);
+  plain_tiff(path, 2, 1, 1, GDT_Byte, {3, 0}, 3.0);
+  CHECK(read_image(path).valid[0] == 0);
+
+  plain_tiff(path, 2, 2, 4, GDT_Byte, {}, {}, true);
+  image = read_image(path);
+  CHECK(image.info.bands == 3);
+  CHECK(image.pixels.shape() == Shape{3, 2, 2});
+  CHECK(image.valid[0] == 0);
+  CHECK(image.valid[3] == 1);
+
+  plain_tiff(path, 2, 2, 1, GDT_Float32, {kNan, kNan, -1, kNan}, -1);
+  CHECK(error_of<IoError>([&] { read_image(path); }) ==
+        path.string() + ": no valid pixel (all nodata, masked or NaN), expected an image");
+}
+
+TEST_CASE("files that are no rasters, in one line and in silence") {
+  const TempFolder folder("refuse");
+  const auto path = folder / "x.tif";
+  const std::string p = path.string();
+  int shouted = 0;
+  const auto count = [](CPLErr, int, const char*) {
+    ++*static_cast<int*>(CPLGetErrorHandlerUserData());
+  };
+  CPLPushErrorHandlerEx(count, &shouted);
+  CHECK(error_of<IoError>([&] { read_image(path); }) == p + ": no such file, expected a raster");
+  write_bytes(path, "This is a text.\n");
+  std::string text = error_of<IoError>([&] { read_image(path); });
+  CHECK(text.find(p + ": not a raster that can be read, expected GeoTIFF, NITF or alike; ") == 0);
+  CHECK(text.find('\n') == std::string::npos);
+  CHECK(text.find("no reason given") == std::string::npos);
+
+  Rng rng(1);
+  write_rpc_geotiff(path, uniform_tensor<float>({1, 300, 300}, rng, 0, 255), PixelType::uint8,
+                    test::synthetic_rpc());
+  const std::string whole = test::read_bytes(path);
+  int pixels_missing = 0;
+  for (const std::size_t kept :
+       {whole.size() - 100, whole.size() / 2, std::size_t{500}, std::size_t{20}}) {
+    write_bytes(path, whole.substr(0, kept));
+    CAPTURE(kept);
+    text = error_of<IoError>([&] { read_image(path); });
+    CHECK(text.find(p + ": ") == 0);
+    CHECK(text.find('\n') == std::string::npos);
+    pixels_missing +=
+        text.find(": the pixels cannot be read, expected a whole file; ") != std::string::npos;
+  }
+  CHECK(pixels_missing >= 1);
+  CHECK(error_of<IoError>([&] { read_geo_raster(path); }).find(p + ": ") == 0);
+  CPLPopErrorHandler();
+  CHECK(shouted == 0);
+
+  plain_tiff(folder / "c.tif", 2, 2, 1, GDT_CFloat32);
+  CHECK(error_of<IoError>([&] { read_image(folder / "c.tif"); }) ==
+        (folder / "c.tif").string() + ": pixels are complex (cfloat32), expected real numbers");
+}
+
+TEST_CASE("colours for the network") {
+  Image image;
+  image.info.dtype = "uint8";
+  image.pixels = Tensor::from({1, 1, 3}, {0, 51, 255});
+  image.valid = Tensor::from({1, 3}, {1, 1, 0});
+  Tensor rgb = to_rgb(image);
+  CHECK(rgb.shape() == Shape{3, 1, 3});
+  for (Index c = 0; c < 3; ++c) {
+    CHECK(rgb[c * 3] == 0);
+    CHECK(rgb[c * 3 + 1] == doctest::Approx(0.2));
+    CHECK(rgb[c * 3 + 2] == 0);
+  }
+  image.pixels = Tensor::from({4, 1, 1}, {51, 102, 153, 204});
+  image.valid = Tensor({1, 1}, 1);
+  rgb = to_rgb(image);
+  CHECK(rgb[0] == doctest::Approx(0.2));
+  CHECK(rgb[2] == doctest::Approx(0.6));
+  image.info.rgb_channels = {2, 1, 0};
+  CHECK(to_rgb(image)[0] == doctest::Approx(0.6));
+
+  // 16 bit: 1st and 99th percentile of the valid pixels, all channels together.
+  const Index N = 1001;
+  image.info.dtype = "uint16";
+  image.info.rgb_channels = {0, 1, 2};
+  image.pixels = Tensor({3, 1, N});
+  image.valid = Tensor({1, N}, 1);
+  for (Index c = 0; c < 3; ++c)
+    for (Index i = 0; i < N; ++i) image.pixels[c * N + i] = static_cast<float>(200 + i);
+  image.pixels[5] = 60000;
+  image.valid[5] = 0;
+  rgb = to_rgb(image);
+  CHECK(rgb[0] == 0);
+  CHECK(rgb[5] == 0);
+  CHECK(rgb[N - 1] == 1);
+  CHECK(rgb[500] == doctest::Approx(0.5).epsilon(0.01));
+  CHECK(rgb[N + 500] == rgb[500]);
+  CHECK(rgb[10] == doctest::Approx(0).epsilon(0.002));
+  CHECK(rgb[20] > 0.005);
+  image.pixels.fill(7);
+  rgb = to_rgb(image);
+  for (const float v : rgb.values()) CHECK_FALSE(std::isnan(v));
+  image.valid = Tensor({2, 2});
+  CHECK_THROWS_AS(to_rgb(image), ShapeError);
+}
+
+TEST_CASE("colours are the same for any number of threads") {
+  Rng rng(8);
+  Image image;
+  image.info.dtype = "float32";
+  image.pixels = uniform_tensor<float>({3, 301, 257}, rng, -5, 900);
+  image.valid = uniform_tensor<float>({301, 257}, rng, 0, 2);
+  for (float& v : image.valid.values()) v = v < 0.2F ? 0.0F : 1.0F;
+  set_threads(1);
+  const Tensor one = to_rgb(image);
+  set_threads(2);
+  const Tensor two = to_rgb(image);
+  set_threads(0);
+  Index different = 0;
+  for (Index i = 0; i < one.count(); ++i) different += one[i] != two[i];
+  CHECK(different == 0);
+}
+
+TEST_CASE("real camera files: every dialect as GDAL reads it, and its transformer's projection") {
+  const auto data = test::data_folder();
+  if (data.empty()) return;
+  const TempFolder folder("formats");
+  struct Format {
+    std::string file, image, sidecar, source;
+  };
+  const std::vector<Format> formats{
+      {"rpc_IKONOS.txt", "i.tif", "i_RPC.TXT", "_RPC.TXT"},
+      {"rpc_PLANET_L1B.txt", "p.tif", "p_RPC.TXT", "_RPC.TXT"},
+      {"20191015_073816_ssc1d3_0011_basic_l1a_panchromatic_dn_RPC.TXT", "s.tif", "s_RPC.TXT",
+       "_RPC.TXT"},
+      {"rpc_WV2.xml", "w.tif", "w.XML", "Maxar XML"},
+      {"rpc_PLEIADES.xml", "IMG_h_R1C1.TIF", "RPC_h.XML", "DIMAP"}};
+  double worst = 0, worst_gdal = 0;
+  for (const Format& f : formats) {
+    CAPTURE(f.file);
+    const Rpc rpc = read_rpc_file(data / "rpc_formats" / f.file);
+    plain_tiff(folder / f.image, 4, 4, 1, GDT_Byte);
+    write_bytes(folder / f.sidecar, test::read_bytes(data / "rpc_formats" / f.file));
+    if (f.source == "DIMAP") write_bytes(folder / "DIM_h.XML", kDim);
+    const RasterInfo info = view_info(folder / f.image);
+    CHECK(info.rpc_source == f.source);
+    worst_gdal = std::max({worst_gdal, worst_difference(rpc, *info.rpc),
+                           worst_difference(rpc, gdal_reads(folder / f.image))});
+    const test::GdalRpc oracle(rpc);
+    Rng rng(3);
+    for (int i = 0; i < 50; ++i) {
+      // A tenth of the box: SkySat's is a whole degree wide, far beyond its image.
+      const double part = rpc.lat_scale == 1 ? 0.005 : 0.9;
+      const Geodetic p{rpc.lon_off + part * rpc.lon_scale * rng.uniform(-1, 1),
+                       rpc.lat_off + part * rpc.lat_scale * rng.uniform(-1, 1),
+                       rpc.height_off + (rpc.lat_scale == 1 ? 0.01 : 0.9) * rpc.height_scale *
+                                            rng.uniform(-1, 1)};
+      const Pixel a = rpc.project(p), b = oracle.project(p);
+      worst = std::max(worst, std::hypot(a.x - b.x, a.y - b.y));
+      const Geodetic back = rpc.localize(a, p.h);
+      CHECK(std::hypot(back.lon - p.lon, back.lat - p.lat) < 1e-9);
+    }
+  }
+  MESSAGE("projection against GDAL ", worst, " px; our reading against GDAL's ", worst_gdal, " px");
+  CHECK(worst < 1e-6);
+  CHECK(worst_gdal < 1e-6);
+}
+
+TEST_CASE("real images: cameras from the tag and from the JSON files") {
+  const auto data = test::data_folder();
+  if (data.empty()) return;
+  const auto views = data / "jax_068_views";
+  for (const char* name : {"JAX_068_012_RGB", "JAX_068_018_RGB", "JAX_068_022_RGB"}) {
+    CAPTURE(name);
+    const RasterInfo tag = view_info(views / (std::string(name) + ".tif"));
+    CHECK(tag.rpc_source == "TIFF tag");
+    CHECK(!tag.geotransform);
+    const RasterInfo raw = view_info(views / "rpc_raw" / (std::string(name) + ".json"), {views});
+    const RasterInfo adjusted =
+        view_info(views / "rpc_adjusted" / (std::string(name) + ".json"), {views});
+    CHECK(raw.width == tag.width);
+    REQUIRE(raw.sun_elevation_deg);
+    CHECK(*raw.sun_elevation_deg > 20);
+    REQUIRE(raw.height_range);
+    // Within the image and the height range, the raw JSON is the tag, and the adjusted one is a few
+    // pixels off.
+    for (const double h : {raw.height_range->low, raw.height_range->high}) {
+      const Geodetic p = tag.rpc->localize({400, 300}, h);
+      const Pixel a = raw.rpc->project(p), b = adjusted.rpc->project(p);
+      CHECK(std::hypot(a.x - 400, a.y - 300) < 1e-6);
+      CHECK(std::hypot(b.x - 400, b.y - 300) < 5);
+    }
+  }
+  const Image image = open_view(data / "pleiades_pair/img_01.tif");
+  CHECK(image.info.dtype == "uint16");
+  CHECK(image.pixels.shape() == Shape{1, 1024, 1024});
+  const Tensor rgb = to_rgb(image);
+  double sum = 0;
+  for (const float v : rgb.values()) sum += v;
+  CHECK(sum / static_cast<double>(rgb.count()) > 0.15);
+  CHECK(sum / static_cast<double>(rgb.count()) < 0.85);
+  CHECK(image.info.rpc->cropped(0, 0) == *image.info.rpc);
+}

@@ -1,0 +1,314 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/rpc/raster.h"
+#include "satsurf/scene/crop.h"
+#include "satsurf/scene/dataset.h"
+#include "satsurf/scene/height_range.h"
+#include "satsurf/scene/simulate/scene.h"
+
+#include <array>
+#include <cmath>
+#include <fstream>
+#include <string>
+
+#include "tests/temp_folder.h"
+#include <doctest/doctest.h>
+#include <nlohmann/json.hpp>
+
+using namespace satsurf;
+using namespace satsurf::test;
+using namespace satsurf::scene;
+
+namespace {
+
+SimulateConfig small_scene() {
+  SimulateConfig c = SimulateConfig();
+  c.pixels = 96;
+  c.views = 4;
+  c.gsd = 0.5;
+  c.kinds = {"village"};
+  return c;
+}
+
+/// The JSON file of a view as Sat-NeRF's tools write it.
+std::string satnerf_json(const View& v, const std::string& image, double low, double high) {
+  const rpc::Rpc& r = v.rpc;
+  const nlohmann::json camera{
+      {"row_offset", r.line_off},    {"col_offset", r.samp_off},   {"lat_offset", r.lat_off},
+      {"lon_offset", r.lon_off},     {"alt_offset", r.height_off}, {"row_scale", r.line_scale},
+      {"col_scale", r.samp_scale},   {"lat_scale", r.lat_scale},   {"lon_scale", r.lon_scale},
+      {"alt_scale", r.height_scale}, {"row_num", r.line_num},      {"row_den", r.line_den},
+      {"col_num", r.samp_num},       {"col_den", r.samp_den}};
+  return nlohmann::json{{"img", image},
+                        {"width", v.rgb.dim(2)},
+                        {"height", v.rgb.dim(1)},
+                        {"sun_elevation", "+" + std::to_string(v.sun_elevation_deg)},
+                        {"sun_azimuth", std::to_string(v.sun_azimuth_deg)},
+                        {"acquisition_date", v.date},
+                        {"min_alt", low},
+                        {"max_alt", high},
+                        {"rpc", camera}}
+      .dump();
+}
+
+/// Writes `scene` as `folder`/train.txt, test.txt (the last view) and one JSON file per view.
+void write_satnerf(const Scene& scene, const std::filesystem::path& folder) {
+  std::filesystem::create_directories(folder);
+  std::string train;
+  for (const View& v : scene.views) {
+    write_bytes(folder / (v.name + ".json"), satnerf_json(v, v.name + ".tif", -20, 60));
+    if (&v != &scene.views.back()) train += v.name + ".json\n";
+  }
+  write_bytes(folder / "train.txt", train);
+  write_bytes(folder / "test.txt", scene.views.back().name + ".json\r\n\n");
+}
+
+bool same_values(const Tensor& a, const Tensor& b) {
+  return a.shape() == b.shape() &&
+         std::equal(a.values().begin(), a.values().end(), b.values().begin(),
+                    [](float x, float y) { return x == y || (std::isnan(x) && std::isnan(y)); });
+}
+
+}  // namespace
+
+TEST_CASE("a simulated scene comes back from its files") {
+  const TempFolder folder("dataset-1");
+  const SimulatedScene made = simulate_scene(small_scene(), 3, 0);
+  write_scene(made, folder.path(), "SIM_001");
+  CHECK(list_scenes(folder.path()) == std::vector<std::string>{"SIM_001"});
+  const Scene scene = load_scene(folder.path(), "SIM_001");
+  REQUIRE(scene.views.size() == 4);
+  REQUIRE(scene.truth.has_value());
+  CHECK(scene.frame.zone == made.frame.zone);
+  for (std::size_t i = 0; i < 4; ++i) {
+    const View& view = scene.views[i];
+    for (Index p = 0; p < view.rgb.count(); ++p)
+      REQUIRE(std::abs(view.rgb[p] - made.views[i].rgb[p]) < 1e-6f);
+    const rpc::Geodetic g = made.frame.geodetic_from_local({3, -4, 1});
+    const rpc::Pixel a = view.rpc.project(g), b = made.views[i].rpc.project(g);
+    CHECK(std::hypot(a.x - b.x, a.y - b.y) < 1e-6);
+  }
+  // The same ground under both frames: absolute position and height of the truth's first cell.
+  const double east = scene.truth->x0 + scene.frame.easting0,
+               made_east = made.dsm.x0 + made.frame.easting0;
+  CHECK(east == doctest::Approx(made_east).epsilon(1e-12));
+  CHECK(static_cast<double>(scene.truth->z[0]) + scene.frame.h0 ==
+        doctest::Approx(static_cast<double>(made.dsm.z[0]) + made.frame.h0).epsilon(1e-5));
+}
+
+TEST_CASE("a crop's cameras, pixels and true heights agree") {
+  const TempFolder folder("dataset-2");
+  write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
+  const Scene scene = load_scene(folder.path(), "SIM_001");
+  const Crop crop =
+      make_crop(scene, {0, 2}, Index{3}, 0, 0, 0, 64, scene.z_low, scene.z_high, true);
+  REQUIRE(crop.input.sources.size() == 2);
+  REQUIRE(crop.target.has_value());
+  REQUIRE(crop.source_truth.size() == 3);
+  for (std::size_t s = 0; s < 3; ++s)
+    CHECK(crop.source_truth[s][1].shape() == Shape{Index{16} << s, Index{16} << s});
+  const nn::PosedImage& a = crop.input.sources[0];
+  for (const Index p : {Index{20 * 64 + 20}, Index{40 * 64 + 17}}) {
+    const double x = static_cast<double>(p % 64), y = static_cast<double>(p / 64);
+    const double z = static_cast<double>(crop.source_truth[2][0][p]);
+    REQUIRE(std::isfinite(z));
+    const auto ground = a.local_from_pixel(x, y, z);
+    const auto back = a.pixel_from_local(ground[0], ground[1], z);
+    CHECK(std::hypot(back[0] - x, back[1] - y) < 2e-3);
+    const auto other = crop.input.transfer[0][1](x, y, z);
+    const auto seen = crop.input.sources[1].pixel_from_local(ground[0], ground[1], z);
+    CHECK(std::hypot(other[0] - seen[0], other[1] - seen[1]) < 5e-3);
+    // the truth under that point is the height the ray stopped at
+    const HeightField& t = *scene.truth;
+    const Index j = static_cast<Index>((ground[0] - t.x0) / t.step),
+                i = static_cast<Index>((t.y0 - ground[1]) / t.step);
+    float nearest = INFINITY;
+    for (Index di = -1; di <= 1; ++di)
+      for (Index dj = -1; dj <= 1; ++dj)
+        nearest = std::min(nearest,
+                           std::abs(t.z[(i + di) * t.z.dim(1) + j + dj] - static_cast<float>(z)));
+    CHECK(nearest < 0.5f);
+  }
+}
+
+TEST_CASE("pixels outside an image are invalid") {
+  const TempFolder folder("dataset-3");
+  write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
+  const Scene scene = load_scene(folder.path(), "SIM_001");
+  const Crop crop =
+      make_crop(scene, {0, 1}, std::nullopt, 0, 0, 0, 128, scene.z_low, scene.z_high, false);
+  const Tensor& valid = crop.input.sources[0].valid;
+  CHECK(valid[0] == 0);
+  CHECK(valid[64 * 128 + 64] == 1);
+  Index seen = 0;
+  for (const float v : valid.values()) seen += v > 0 ? 1 : 0;
+  CHECK(seen > 80 * 80);
+  CHECK(seen <= 96 * 96);
+  CHECK_FALSE(crop.target.has_value());
+  CHECK(crop.source_truth.empty());
+}
+
+TEST_CASE("a Sat-NeRF folder holds the same scene as Track3 files") {
+  const TempFolder folder("dataset-5");
+  write_scene(simulate_scene(small_scene(), 3, 0), folder / "track", "SIM_001");
+  const Scene known = load_scene(folder / "track", "SIM_001");
+  const auto compare = [&](const std::filesystem::path& data) {
+    CAPTURE(data.string());
+    REQUIRE(list_scenes(data) == std::vector<std::string>{"SIM_001"});
+    const Scene scene = load_scene(data, "SIM_001");
+    CHECK(scene.frame == known.frame);
+    CHECK(scene.z_low == known.z_low);
+    CHECK(scene.z_high == known.z_high);
+    REQUIRE(scene.truth.has_value());
+    CHECK(same_values(scene.truth->z, known.truth->z));
+    CHECK(scene.truth->x0 == known.truth->x0);
+    CHECK(scene.truth->step == known.truth->step);
+    CHECK(same_values(scene.classes, known.classes));
+    REQUIRE(scene.views.size() == known.views.size());
+    for (std::size_t i = 0; i < known.views.size(); ++i) {
+      CHECK(scene.views[i].name == known.views[i].name);
+      CHECK(scene.views[i].date == known.views[i].date);
+      CHECK(scene.views[i].sun_azimuth_deg ==
+            doctest::Approx(known.views[i].sun_azimuth_deg).epsilon(1e-6));
+      CHECK(same_values(scene.views[i].rgb, known.views[i].rgb));
+      CHECK(same_values(scene.views[i].valid, known.views[i].valid));
+      const rpc::Geodetic g = known.frame.geodetic_from_local({3, -4, 1});
+      const rpc::Pixel a = scene.views[i].rpc.project(g), b = known.views[i].rpc.project(g);
+      CHECK(std::hypot(a.x - b.x, a.y - b.y) < 1e-9);
+    }
+  };
+  namespace fs = std::filesystem;
+  SUBCASE("images beside the JSON files, truth in truth/, the scene or its parent named") {
+    const fs::path scene = folder / "set" / "SIM_001";
+    write_satnerf(known, scene);
+    for (const auto& f : fs::directory_iterator(folder / "track" / "Track3-RGB"))
+      fs::copy(f, scene);
+    fs::copy(folder / "track" / "Track3-Truth", folder / "set" / "truth");
+    compare(scene);
+    compare(scene / "");
+    compare(folder / "set");
+  }
+  SUBCASE("images and truth as in Sat-NeRF's own archive") {
+    const fs::path scene = folder / "root_dir" / "crops_rpcs_ba_v2" / "SIM_001";
+    write_satnerf(known, scene);
+    fs::create_directories(folder / "DFC2019" / "Track3-RGB-crops");
+    fs::copy(folder / "track" / "Track3-RGB", folder / "DFC2019" / "Track3-RGB-crops" / "SIM_001");
+    fs::copy(folder / "track" / "Track3-Truth", folder / "DFC2019" / "Track3-Truth");
+    compare(scene);
+    compare(folder / "root_dir" / "crops_rpcs_ba_v2");
+  }
+  SUBCASE("the JSON's camera replaces the image's, and its heights serve without truth") {
+    const fs::path scene = folder / "SIM_001";
+    Scene moved = known;
+    for (View& v : moved.views) v.rpc = v.rpc.cropped(2, 0);
+    write_satnerf(moved, scene);
+    fs::copy(folder / "track" / "Track3-RGB", scene / "images");
+    const Scene read = load_scene(scene, "SIM_001");
+    CHECK_FALSE(read.truth.has_value());
+    CHECK(read.classes.empty());
+    CHECK(read.z_low + read.frame.h0 == -20);
+    CHECK(read.z_high + read.frame.h0 == 60);
+    const rpc::Geodetic g = known.frame.geodetic_from_local({3, -4, 1});
+    CHECK(read.views[0].rpc.project(g).x ==
+          doctest::Approx(known.views[0].rpc.project(g).x - 2).epsilon(1e-9));
+  }
+}
+
+TEST_CASE("broken Sat-NeRF folders are refused by name") {
+  const TempFolder folder("dataset-6");
+  write_scene(simulate_scene(small_scene(), 3, 0), folder / "track", "SIM_001");
+  const Scene known = load_scene(folder / "track", "SIM_001");
+  const std::filesystem::path scene = folder / "SIM_001";
+  write_satnerf(known, scene);
+  const std::string where = scene.string();
+  CHECK(error_of<IoError>([&] { load_scene(scene, "SIM_001"); })
+            .starts_with(where +
+                         "/SIM_001_001_RGB.json: its image \"SIM_001_001_RGB.tif\" was "
+                         "not found, looked in " +
+                         where + ", " + folder.path().string() + ", "));
+  write_bytes(scene / "train.txt", "SIM_001_001_RGB.json\n\n lost.json\n");
+  const std::string lost =
+      where + "/train.txt: line 3 names lost.json, but there is no " + where + "/lost.json";
+  CHECK(error_of<IoError>([&] { load_scene(scene, "SIM_001"); }) == lost);
+  CHECK(error_of<IoError>([&] { list_scenes(scene); }) == lost);
+  write_bytes(scene / "train.txt", "\n");
+  CHECK(error_of<IoError>([&] { list_scenes(scene); }) ==
+        where + "/train.txt: names no view, expected one JSON file a line");
+}
+
+TEST_CASE("truth that does not fit together is refused by name") {
+  const TempFolder folder("dataset-7");
+  write_scene(simulate_scene(small_scene(), 3, 0), folder.path(), "SIM_001");
+  const auto truth = folder / "Track3-Truth";
+  const std::string dsm_file = (truth / "SIM_001_DSM.tif").string(),
+                    classes_file = (truth / "SIM_001_CLS.tif").string();
+  const Scene known = load_scene(folder.path(), "SIM_001");
+  const Index H = known.classes.dim(0), W = known.classes.dim(1);
+  const rpc::GeoRaster dsm = rpc::read_geo_raster(dsm_file, known.frame.zone);
+  const auto refusal = [&] {
+    return error_of<IoError>([&] { load_scene(folder.path(), "SIM_001"); });
+  };
+  const auto cells = [](Index h, Index w) {
+    return std::to_string(w) + " x " + std::to_string(h) + " cells of ";
+  };
+
+  rpc::write_geo_raster(classes_file, Tensor({H - 1, W}), dsm.grid);
+  const std::string smaller = refusal();
+  CAPTURE(smaller);
+  CHECK(smaller.starts_with(classes_file + ": " + cells(H - 1, W)));
+  CHECK(smaller.find(", expected the grid of " + dsm_file + ", " + cells(H, W)) !=
+        std::string::npos);
+  for (const auto& [east, north, scale] : {std::array<double, 3>{1, 0, 1}, {0, -1, 1}, {0, 0, 2}}) {
+    CAPTURE(east);
+    CAPTURE(north);
+    rpc::GeoGrid moved = dsm.grid;
+    moved.x0 += east * moved.step, moved.y0 += north * moved.step, moved.step *= scale;
+    rpc::write_geo_raster(classes_file, Tensor({H, W}), moved);
+    CHECK(refusal().starts_with(classes_file + ": " + cells(H, W)));
+  }
+  rpc::GeoGrid point = dsm.grid;  // half a cell is the other convention
+  point.x0 += 0.5 * point.step, point.y0 -= 0.5 * point.step;
+  rpc::write_geo_raster(classes_file, known.classes, point);
+  CHECK(same_values(load_scene(folder.path(), "SIM_001").classes, known.classes));
+
+  rpc::write_geo_raster(classes_file, Tensor({3, H, W}), dsm.grid);
+  CHECK(refusal() == classes_file + ": 3 bands, expected one");
+  rpc::write_geo_raster(dsm_file, Tensor({2, H, W}), dsm.grid);
+  CHECK(refusal() == dsm_file + ": 2 bands, expected one");
+}
+
+TEST_CASE("folders that are no data sets are refused") {
+  const TempFolder folder("dataset-4");
+  CHECK_THROWS_WITH_AS(
+      list_scenes(folder.path() / "nowhere"),
+      ((folder.path() / "nowhere").string() + ": no such folder, expected a data set").c_str(),
+      IoError);
+  CHECK_THROWS_AS(list_scenes(folder.path()), IoError);
+  std::filesystem::create_directories(folder.path() / "Track3-RGB");
+  CHECK_THROWS_AS(list_scenes(folder.path()), IoError);
+}
+
+TEST_CASE("the height range of a scene is found by comparing its images") {
+  SimulateConfig config = small_scene();
+  config.pixels = 192;
+  config.kinds = {"rural"};
+  const SimulatedScene made = simulate_scene(config, 11, 0);
+  Scene scene;
+  scene.frame = made.frame;
+  for (const SimulatedView& v : made.views)
+    scene.views.push_back({"v", v.rgb, Tensor({192, 192}, 1.f), v.rpc, 0, 0, "", "v.tif"});
+  const double low = made.h_min - made.frame.h0, high = made.h_max - made.frame.h0;
+  const auto [found_low, found_high] = find_height_range(scene, low - 300, high + 300);
+  CHECK(found_low <
+        low + 8);  // percentiles may miss the deepest corner, the margin covers most of it
+  CHECK(found_high > low);
+  CHECK(found_high - found_low < high - low + 80);
+  CHECK_THROWS_AS(find_height_range(scene, high + 400, high + 700), Error);
+  struct Stop {};
+  CHECK_THROWS_AS(find_height_range(scene, low, high, [] { throw Stop{}; }), Stop);
+  for (Index i = 0; i < scene.views[1].rgb.count(); ++i)  // smooth, but not of one grey
+    scene.views[1].rgb[i] = 0.3f + 0.1f * static_cast<float>(i % 192) / 192;
+  CHECK_THROWS_WITH_AS(find_height_range(scene, low, high),
+                       "v.tif: 0 windows with texture, expected 100 or more to compare with the "
+                       "other images",
+                       Error);
+}

@@ -1,0 +1,244 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/record.h"
+#include "satsurf/core/fields_json.h"
+#include "satsurf/core/parallel.h"
+#include "satsurf/core/version.h"
+#include "satsurf/nn/weights_file.h"
+#include "satsurf/scene/simulate/scene.h"
+#include "satsurf/train/loss.h"
+#include "satsurf/train/mono_trainer.h"
+#include "satsurf/train/trainer.h"
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <iterator>
+
+#include "tests/temp_folder.h"
+#include "tests/train/train_in_folder.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::test;
+using namespace satsurf::app;
+using namespace satsurf::nn;
+using namespace satsurf::scene;
+using namespace satsurf::train;
+
+namespace {
+
+std::string bytes_of(const std::filesystem::path& path) {
+  std::ifstream in(path, std::ios::binary);
+  REQUIRE(in.good());
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
+TrainConfig tiny(Index steps) {
+  TrainConfig c = TrainConfig();
+  c.preset = "tiny";
+  c.model = nn::model_preset("tiny");
+  c.steps = steps;
+  c.crop = 32;
+  c.lr = 3e-3;
+  return c;
+}
+
+/// Two small scenes on disk, made once.
+const std::filesystem::path& data() {
+  static const TempFolder folder("trainer-1");
+  static const bool made = [] {
+    SimulateConfig c = SimulateConfig();
+    c.pixels = 64;
+    c.views = 4;
+    c.gsd = 0.5;
+    for (Index i = 0; i < 2; ++i)
+      write_scene(simulate_scene(c, 21, i), folder.path(), "SIM_00" + std::to_string(i + 1));
+    return true;
+  }();
+  REQUIRE(made);
+  return folder.path();
+}
+
+std::function<bool(const StepReport&)> stop_after(Index step) {
+  return [step](const StepReport& r) { return r.step < step; };
+}
+
+}  // namespace
+
+TEST_CASE("five steps, resume and five more are ten steps, byte for byte") {
+  const TempFolder folder("trainer-2");
+  train_in_folder(tiny(10), data(), folder / "whole", 4);
+  train_in_folder(tiny(10), data(), folder / "parts", 4, false, stop_after(5));
+  CHECK(bytes_of(folder.path() / "parts" / "checkpoint.safetensors") !=
+        bytes_of(folder.path() / "whole" / "checkpoint.safetensors"));
+  train_in_folder(tiny(10), data(), folder / "parts", 4, true);
+  CHECK(bytes_of(folder.path() / "parts" / "checkpoint.safetensors") ==
+        bytes_of(folder.path() / "whole" / "checkpoint.safetensors"));
+  CHECK(bytes_of(folder.path() / "parts" / "weights.safetensors") ==
+        bytes_of(folder.path() / "whole" / "weights.safetensors"));
+  std::ifstream journal(folder.path() / "parts" / "train.jsonl");
+  Index lines = 0;
+  for (std::string line; std::getline(journal, line);) ++lines;
+  CHECK(lines == 10);
+}
+
+TEST_CASE("one and two threads train the same bytes") {
+  const TempFolder folder("trainer-3");
+  for (const int n : {1, 2}) {
+    set_threads(n);
+    train_in_folder(tiny(3), data(), folder / std::to_string(n), 4);
+  }
+  set_threads(0);
+  CHECK(bytes_of(folder.path() / "1" / "checkpoint.safetensors") ==
+        bytes_of(folder.path() / "2" / "checkpoint.safetensors"));
+}
+
+TEST_CASE("training lowers the error on samples it has not seen") {
+  const TempFolder folder("trainer-3");
+  std::vector<Scene> scenes;
+  for (const std::string& name : list_scenes(data())) scenes.push_back(load_scene(data(), name));
+  const TrainConfig config = tiny(80);
+  const auto error = [&](const nn::Model& model) {
+    const NoGrad no_grad;
+    double sum = 0;
+    for (Index k = 0; k < 12; ++k) {
+      const Crop crop = training_sample(config, scenes, 99, k);
+      sum += training_loss(config, model.config(), model.forward(crop.input), crop).height_mae / 12;
+    }
+    return sum;
+  };
+  train_in_folder(config, data(), folder.path(), 1);
+  const double before = error(nn::Model(config.model, 1)),
+               after = error(load_model(folder.path() / "weights.safetensors"));
+  CAPTURE(before);
+  CHECK(after < 0.85 * before);
+}
+
+TEST_CASE("a model comes back from its file, configuration included") {
+  const TempFolder folder("trainer-5");
+  const nn::Model model(nn::model_preset("tiny"), 9);
+  save_model(folder.path() / "m.safetensors", model);
+  const nn::Model loaded = load_model(folder.path() / "m.safetensors");
+  CHECK(loaded.config() == model.config());
+  for (std::size_t k = 0; k < model.parameters().entries().size(); ++k) {
+    const Tensor &a = model.parameters().entries()[k].var.value(),
+                 &b = loaded.parameters().entries()[k].var.value();
+    REQUIRE(std::equal(a.values().begin(), a.values().end(), b.data()));
+  }
+  save_safetensors(folder.path() / "other.safetensors", TensorFile());
+  CHECK_THROWS_WITH_AS(
+      load_model(folder.path() / "other.safetensors"),
+      ((folder.path() / "other.safetensors").string() +
+       ": not a satsurf model, expected metadata format = satsurf-1 and its configuration")
+          .c_str(),
+      IoError);
+}
+
+TEST_CASE("weights say where they come from") {
+  const TempFolder folder("trainer-8");
+  train_in_folder(tiny(2), data(), folder / "out", 4);
+  for (const char* name : {"out/weights.safetensors", "out/checkpoint.safetensors"}) {
+    const auto metadata = load_safetensors(folder / name).metadata;
+    CHECK(metadata.at("seed") == "4");
+    CHECK(metadata.at("step") == "2");
+    CHECK(metadata.at("scenes") == "2");
+    CHECK(metadata.at("train") == to_json(tiny(2)).dump());
+    CHECK(metadata.at("version") == program_version());
+    CHECK(metadata.at("git") == program_git_hash());
+  }
+}
+
+TEST_CASE("samples are a function of seed and step") {
+  std::vector<Scene> scenes;
+  for (const std::string& name : list_scenes(data())) scenes.push_back(load_scene(data(), name));
+  const TrainConfig config = tiny(1);
+  const Crop a = training_sample(config, scenes, 7, 3), b = training_sample(config, scenes, 7, 3),
+             c = training_sample(config, scenes, 7, 4);
+  const auto pixels = [](const Crop& crop) {
+    const auto v = crop.input.sources[0].rgb.values();
+    return std::vector<float>(v.begin(), v.end());
+  };
+  CHECK(pixels(a) == pixels(b));
+  CHECK(pixels(a) != pixels(c));
+}
+
+TEST_CASE("settings without effect are told") {
+  TrainConfig config = tiny(1);  // has no monocular branch
+  CHECK(idle_settings(config) ==
+        std::vector<std::string>{
+            "no perceptual loss: lpips_weights names no file",
+            "no correlation with relative heights: the network has no monocular branch"});
+  config.geo_target = "dsm";
+  config.lpips_weights = "l.safetensors";
+  CHECK(idle_settings(config).empty());
+  config.mono_weights = "m.safetensors";
+  CHECK(idle_settings(config) ==
+        std::vector<std::string>{"mono_weights is not read: the network has no monocular branch"});
+  config.model.mono = "own";
+  config.geo_target = "mono";
+  CHECK(idle_settings(config).empty());
+}
+
+TEST_CASE("resuming with another configuration or seed is refused") {
+  const TempFolder folder("trainer-6");
+  train_in_folder(tiny(1), data(), folder.path(), 4);
+  const auto refusal = [&](const TrainConfig& config, std::uint64_t seed) {
+    return error_of<ConfigError>(
+        [&] { train_in_folder(config, data(), folder.path(), seed, true); });
+  };
+  const std::string start = (folder / "checkpoint.safetensors").string() +
+                            ": made with another configuration, expected the same to resume; ";
+  CHECK(refusal(tiny(2), 5) == start + "seed: saved 4 vs given 5, steps: saved 1 vs given 2");
+  TrainConfig other = tiny(1);
+  other.stage_weight[1] = 3;
+  CHECK(refusal(other, 4) == start + "stage_weight.1: saved 1.0 vs given 3.0");
+  other = tiny(1);
+  other.preset = "base8", other.model = nn::model_preset("base8");
+  CHECK(refusal(other, 4).ends_with(" more"));
+  TrainConfig odd = tiny(1);
+  odd.crop = 40;
+  CHECK_THROWS_WITH_AS(train_in_folder(odd, data(), folder.path(), 4),
+                       "train: crop is 40, expected a multiple of 16", ConfigError);
+}
+
+TEST_CASE("a network with more parts starts from one with fewer") {
+  const TempFolder folder("trainer-init");
+  train_in_folder(tiny(2), data(), folder / "part", 4);
+  TrainConfig whole = tiny(1);
+  whole.preset = "tiny_full";
+  whole.model = nn::model_preset("tiny_full");
+  whole.init = (folder / "part" / "weights.safetensors").string();
+  whole.lr = 0;  // what it starts from is what it writes
+  CHECK(needs_branch(whole));
+  CHECK_THROWS_AS(train_in_folder(whole, data(), folder / "no", 4), ConfigError);
+
+  TensorFile mono;
+  store_mono(mono, nn::Mono(whole.model.mono_net, 5));
+  save_safetensors(folder / "mono.safetensors", mono);
+  whole.mono_weights = (folder / "mono.safetensors").string();
+  train_in_folder(whole, data(), folder / "out", 4);
+  const TensorFile part = load_safetensors(whole.init),
+                   out = load_safetensors(folder / "out" / "weights.safetensors");
+  CHECK(out.tensors.size() > part.tensors.size());
+  CHECK(out.metadata.at("train").find("\"mono_weights\":\"mono.safetensors\"") !=
+        std::string::npos);  // whoever gets the weights need not know our folders
+  const auto holds = [&](const std::string& name, const Tensor& expected) {
+    INFO(name);
+    REQUIRE(out.tensors.contains(name));
+    const Tensor& got = out.tensors.at(name);
+    REQUIRE(got.shape() == expected.shape());
+    CHECK(std::equal(got.values().begin(), got.values().end(), expected.data()));
+  };
+  for (const auto& [name, tensor] : part.tensors) holds(name, tensor);
+  for (const auto& [name, tensor] : mono.tensors) holds(kModelPrefix + name, tensor);
+
+  whole.init = (folder / "out" / "weights.safetensors").string();
+  CHECK_FALSE(needs_branch(whole));
+  CHECK(error_of<ConfigError>([&] {
+          train_in_folder(whole, data(), folder / "no", 4);
+        }).ends_with("has a monocular branch already, expected one of them"));
+  whole.mono_weights.clear();
+  train_in_folder(whole, data(), folder / "again", 4);
+  whole.model.base = 6;
+  CHECK_THROWS_AS(train_in_folder(whole, data(), folder / "no", 4), IoError);
+}
