@@ -176,10 +176,10 @@ def flat(value, name=''):
     return {k: v for key, inner in value.items() for k, v in flat(inner, f'{name}.{key}' if name else key).items()}
 
 
-def differences(before, expected):
+def differences(before, wanted):
     """Of what both know, in words: a field that one lacks came or went with another version of the program."""
     before, wanted = flat(before), flat(wanted)
-    text = [f'{k} is {before[k]!r}, expected {wanted[k]!r}' for k in wanted if k in before and before[k] != wanted[k]]
+    text = [f'{k} is {before[k]!r}, wanted {wanted[k]!r}' for k in wanted if k in before and before[k] != wanted[k]]
     return '; '.join(text)
 
 
@@ -417,7 +417,7 @@ class Experiment:
         if os.path.exists(recorded):
             before = DATA_SEEDS | read_json(recorded)
             if before != self.config:
-                told = differences(before, self.config) or f'it has {sorted(before)}, expected {sorted(self.config)}'
+                told = differences(before, self.config) or f'it has {sorted(before)}, wanted {sorted(self.config)}'
                 raise RuntimeError(f'{recorded} is of another experiment: {told}; give another OUT')
         for folder in ('scores', 'runs'):
             os.makedirs(self.path(folder), exist_ok=True)

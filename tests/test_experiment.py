@@ -230,7 +230,7 @@ class Cells(unittest.TestCase):
 
     def test_differences(self):
         self.assertEqual(experiment.differences({'a': {'b': 1}, 'old': 1}, {'a': {'b': 1.}, 'new': 2}), '')
-        self.assertEqual(experiment.differences({'a': {'b': 1}}, {'a': {'b': 2}}), 'a.b is 1, expected 2')
+        self.assertEqual(experiment.differences({'a': {'b': 1}}, {'a': {'b': 2}}), 'a.b is 1, wanted 2')
 
 
 class Folder(unittest.TestCase):
@@ -377,13 +377,13 @@ class Script(Folder):
     def test_scores_of_other_settings_are_refused(self):
         self.runs()
         self.put('bin/config', '{"routing": "none", "model": {"fusion": "cmmf", "width": 0.2}}')  # the preset changed
-        self.refuses(r'full-1\.csv: made with other settings: config\.model\.width is 0\.1, expected 0\.2; remove it')
+        self.refuses(r'full-1\.csv: made with other settings: config\.model\.width is 0\.1, wanted 0\.2; remove it')
         os.remove(os.path.join(self.here, 'bin/config'))
         record = self.json('scores/full-1.json')
         for key, value in (('arguments', '--preset tiny'), ('seed', 3), ('steps', 6)):
             with self.subTest(key):
                 self.put('out/scores/full-1.json', json.dumps(record | {key: value}))
-                self.refuses(rf'full-1\.csv: made with other settings: {key} is {value!r}, expected ')
+                self.refuses(rf'full-1\.csv: made with other settings: {key} is {value!r}, wanted ')
         self.put('out/scores/full-1.json', json.dumps(record)[:50])
         self.refuses(r'full-1\.json: not whole JSON')
 
@@ -391,7 +391,7 @@ class Script(Folder):
         self.runs('--only', '^full$', '--seeds', '1')
         os.remove(os.path.join(self.out, 'scores/full-1.csv'))
         self.put('bin/config', '{"preset": "base9"}')
-        self.refuses(r"runs/full-1: made with other settings: config\.preset is 'base8', expected 'base9'",
+        self.refuses(r"runs/full-1: made with other settings: config\.preset is 'base8', wanted 'base9'",
                      '--only', '^full$', '--seeds', '1')
 
     def test_other_scenes_are_refused(self):
@@ -407,9 +407,9 @@ class Script(Folder):
         self.put('out/experiment.json', json.dumps(old))
         self.runs('--seeds', '1')
         self.assertEqual(self.json('experiment.json'), old)  # stays as it was recorded
-        self.refuses(r'is of another experiment: crop is 96, expected 64; give another OUT', '--crop', '64')
+        self.refuses(r'is of another experiment: crop is 96, wanted 64; give another OUT', '--crop', '64')
         self.put('out/experiment.json', json.dumps(config | {'train_seed': 7}))
-        self.refuses(r'train_seed is 7, expected 101')
+        self.refuses(r'train_seed is 7, wanted 101')
         for text in ('', json.dumps(config)[:40]):
             self.put('out/experiment.json', text)
             self.refuses(r'experiment\.json: not whole JSON')
