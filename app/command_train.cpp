@@ -63,7 +63,7 @@ std::vector<fs::path> prepare(train::TrainConfig& config, bool resume) {
   if (!resume && config.mono_weights.empty() && train::needs_branch(config))
     config.mono_found = find_shipped("mono12.safetensors", "monocular weights", "--mono_weights");
   std::vector<fs::path> files;
-  if (config.model.mono != "none") files = {config.mono_weights, config.mono_found};
+  if (config.model.mono != nn::MonoBranch::none) files = {config.mono_weights, config.mono_found};
   files.insert(files.end(), {config.init, config.lpips_weights});
   std::erase(files, fs::path());
   return files;

@@ -75,14 +75,14 @@ double mono_multiply_adds(const nn::MonoConfig& c, double P) {
 double module_multiply_adds(const nn::ModelConfig& c, std::size_t stage, double channels,
                             double head_in, double P) {
   double sum = 0;
-  if (c.context == "reference") sum += P / 4 * 16 * channels * 2 * number(c.volume_base);
+  if (c.context == nn::Context::reference) sum += P / 4 * 16 * channels * 2 * number(c.volume_base);
   if (stage == 0) return sum;
-  if (c.fusion == "cmmf") {
+  if (c.fusion == nn::Fusion::cmmf) {
     const double mono = number(c.mono_net.base * (stage == 1 ? 2 : 1));
     sum += P * channels * (3 * channels + 2 * mono);
   }
   constexpr double kHidden = 32;
-  if (c.guidance == "csrg") sum += P * kHidden * (2 * 9 * head_in + 3 + head_in);
+  if (c.guidance == nn::Guidance::csrg) sum += P * kHidden * (2 * 9 * head_in + 3 + head_in);
   return sum;
 }
 
@@ -96,7 +96,7 @@ double stage_multiply_adds(const nn::ModelConfig& c, std::size_t stage, double s
 
 Cost model_cost(const nn::ModelConfig& c, Index views, Index side) {
   double sum = feature_multiply_adds(c, number(side * side));
-  if (c.mono != "none") sum += mono_multiply_adds(c.mono_net, number(side * side));
+  if (c.mono != nn::MonoBranch::none) sum += mono_multiply_adds(c.mono_net, number(side * side));
   for (std::size_t s = 0; s < 3; ++s) sum += stage_multiply_adds(c, s, number(side));
   return {.flop = 2 * number(views) * sum};
 }
@@ -155,22 +155,24 @@ void features_infer(benchmark::State& state) {
                  [&] { benchmark::DoNotOptimize(features(images)[2].value().data()); });
 }
 
-/// One stage, from the features of all views to their surfels: step 2 to 4 of nn/model.cpp.
+/// One stage, from the features of all views to their surfels, as in nn/model.cpp.
 void stage_infer(benchmark::State& state) {
   const std::size_t stage = static_cast<std::size_t>(state.range(1)) - 1;
   const nn::ModelConfig config = nn::model_preset("cascade8");
   const Index N = state.range(0), stride = kStrides[stage], side = state.range(2) / stride,
               C = config.base * stride, D = config.hypotheses[stage];
   nn::ParameterSet<float> parameters(1);
-  const nn::CostNet<float> cost_net(parameters, "cost", C, config.volume_base,
-                                    config.volume_levels);
+  const nn::CostNet<float> cost_net(
+      parameters, "cost",
+      {.channels = C, .base = config.volume_base, .levels = config.volume_levels});
   const nn::SurfelHead<float> head(parameters, "head", 3 + C + D + 1, config.head_width[stage]);
   const auto scene = bench_scene(state.range(2));
   std::vector<nn::PixelGeometry> geometry;
   for (const nn::PosedImage& v : scene.sources)
     geometry.push_back(nn::pixel_geometry(v, 0, stride));
   const double reach = stage == 0 ? 25 : 25 / number(Index{4} << stage);
-  const Tensor heights = nn::uniform_hypotheses<float>(-reach, reach, N, D, side, side);
+  const Tensor heights = nn::uniform_hypotheses<float>(
+      {.views = N, .height = side, .width = side, .hypotheses = D}, -reach, reach);
   const Var features = normal({N, C, side, side}), image = normal({N, 3, side, side});
   const NoGrad no_grad;
   const auto run = [&] {
@@ -187,8 +189,8 @@ void stage_infer(benchmark::State& state) {
               confidence = max_probability(p);
     const Var raw =
         head(concat<float>({image, features, p, reshape(confidence, Shape{N, 1, side, side})}, 1));
-    benchmark::DoNotOptimize(nn::surfels_from_maps(raw, height, image.value(), confidence, geometry,
-                                                   nn::Rotation::residual));
+    benchmark::DoNotOptimize(nn::surfels_from_maps<float>({raw, height, image.value(), confidence},
+                                                          geometry, nn::Rotation::residual));
   };
   time_and_weigh(
       state, {.flop = 2 * number(N) * stage_multiply_adds(config, stage, number(state.range(2)))},
@@ -203,7 +205,7 @@ void train_step(benchmark::State& state, const std::string& preset) {
   const auto scene = bench_scene(side);
   Cost cost = model_cost(model.config(), state.range(0), side);
   cost.flop *= 3;
-  if (model.config().mono != "none")  // frozen: only forward
+  if (model.config().mono != nn::MonoBranch::none)  // frozen: only forward
     cost.flop -= 4 * number(state.range(0)) *
                  mono_multiply_adds(model.config().mono_net, number(side * side));
   time_and_weigh(state, cost, [&] {

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/config.h"
 
+#include <array>
 #include <numeric>
+#include <utility>
 
 namespace satsurf::nn {
 
 namespace {
 
-/// Matching alone: no monocular branch, and no stage tells the next more than where to search.
-ModelConfig cascade(ModelConfig config) {
-  config.mono = config.fusion = config.guidance = config.context = "none";
-  return config;
-}
+ModelConfig base8() { return {}; }
 
-ModelConfig tiny() {
+ModelConfig base16() { return {.base = 16, .volume_base = 16, .head_width = {96, 64, 48}}; }
+
+ModelConfig tiny_full() {
   return {.base = 4,
           .hypotheses = {8, 8, 4},
           .volume_base = 4,
@@ -22,38 +22,69 @@ ModelConfig tiny() {
           .mono_net = {.base = 2}};
 }
 
+/// Matching alone: no monocular branch, and no stage tells the next more than where to search.
+ModelConfig matching_alone(ModelConfig config) {
+  config.mono = MonoBranch::none;
+  config.fusion = Fusion::none;
+  config.guidance = Guidance::none;
+  config.context = Context::none;
+  return config;
+}
+
+ModelConfig tiny() { return matching_alone(tiny_full()); }
+ModelConfig cascade8() { return matching_alone(base8()); }
+
+ModelConfig paper() {
+  return {.context = Context::none,
+          .rotation = Rotation::camera,
+          .fusion_start = FusionStart::paper,
+          .confidence = Confidence::raw};
+}
+
+ModelConfig mvsplat_like() { return matching_alone({.hypotheses = {128, 0, 0}}); }
+
+ModelConfig hisplat_like() {
+  ModelConfig config = matching_alone({.keep = Keep::all});
+  config.guidance = Guidance::photometric;
+  return config;
+}
+
+ModelConfig skysplat_like() {
+  return {.hypotheses = {64, 0, 0},
+          .context = Context::none,
+          .rotation = Rotation::camera,
+          .fusion = Fusion::none,
+          .guidance = Guidance::none};
+}
+
+constexpr std::array<std::pair<const char*, ModelConfig (*)()>, 9> kPresets{
+    {{"tiny", tiny},
+     {"tiny_full", tiny_full},
+     {"base8", base8},
+     {"base16", base16},
+     {"cascade8", cascade8},
+     {"paper", paper},
+     {"mvsplat_like", mvsplat_like},
+     {"hisplat_like", hisplat_like},
+     {"skysplat_like", skysplat_like}}};
+
 }  // namespace
 
 ModelConfig model_preset(const std::string& name) {
-  if (name == "tiny") return cascade(tiny());
-  if (name == "tiny_full") return tiny();
-  if (name == "base8") return {};
-  if (name == "base16") return {.base = 16, .volume_base = 16, .head_width = {96, 64, 48}};
-  if (name == "cascade8") return cascade({});
-  if (name == "paper")
-    return {.context = "none", .rotation = "camera", .fusion_start = "paper", .confidence = "raw"};
-  if (name == "mvsplat_like") return cascade({.hypotheses = {128, 0, 0}});
-  if (name == "hisplat_like") {
-    ModelConfig config = cascade({.keep = "all"});
-    config.guidance = "photometric";
-    return config;
-  }
-  if (name == "skysplat_like")
-    return {.hypotheses = {64, 0, 0},
-            .context = "none",
-            .rotation = "camera",
-            .fusion = "none",
-            .guidance = "none"};
-  throw ConfigError("preset: '" + name + "', expected one of " + model_preset_names());
+  for (const auto& [known, config] : kPresets)
+    if (name == known) return config();
+  detail::refuse_choice(name, model_preset_names(), "preset");
 }
 
-std::string model_preset_names() {
-  return "tiny, tiny_full, base8, base16, cascade8, paper, mvsplat_like, hisplat_like, "
-         "skysplat_like";
+std::vector<std::string> model_preset_names() {
+  std::vector<std::string> names;
+  for (const auto& [name, config] : kPresets) names.emplace_back(name);
+  return names;
 }
 
 Index size_multiple(const ModelConfig& config) {
-  return std::lcm(Index{4} << config.volume_levels, config.mono == "none" ? 1 : kMonoMultiple);
+  return std::lcm(Index{4} << config.volume_levels,
+                  config.mono == MonoBranch::none ? 1 : kMonoMultiple);
 }
 
 }  // namespace satsurf::nn

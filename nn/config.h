@@ -3,10 +3,12 @@
 
 #include "satsurf/core/fields.h"
 #include "satsurf/core/shape.h"
+#include "satsurf/nn/choices.h"
 #include "satsurf/nn/mono.h"
 
 #include <array>
 #include <string>
+#include <vector>
 
 namespace satsurf::nn {
 
@@ -23,23 +25,18 @@ struct ModelConfig {
   double interval_min = 0.2;  ///< of the last stage, m
   double interval_max = 1.0;  ///< of the last stage, m
   bool variance_includes_reference = true;
-  std::string context = "reference";  ///< of the 3D U-Nets beside variances: none | reference
-  /// Surfel orientation: camera | camera+residual (of the head) | gradient (of the heights).
-  std::string rotation = "camera+residual";
-  std::string mono = "own";  ///< monocular branch: none | own (nn/mono.h)
+  Context context = Context::reference;    ///< of the 3D U-Nets
+  Rotation rotation = Rotation::residual;  ///< of the surfels
+  MonoBranch mono = MonoBranch::own;
   MonoConfig mono_net{};
-  std::string fusion = "cmmf";  ///< how its features join: none | naive | cmmf (nn/fusion.h)
-  std::string fusion_start = "additive";  ///< of cmmf: paper | gated | additive
-  double fusion_lambda = 1;               ///< weight of the confidence in cmmf
-  double fusion_tau = 0.2;                ///< confidence that favours neither side
-  /// Of a stage by the one before (nn/guidance.h): none | csrg | photometric
-  std::string guidance = "csrg";
-  std::string guidance_norm = "robust";  ///< robust | interval
-  std::string keep =
-      "last";  ///< surfels of a stage: last (its own) | all (the stages' before, too)
-  /// The one confidence that fusion, guidance, surfel heads, loss routing and confidence maps read
-  /// (`effective_confidence`): raw, the published C = max P | floor, (C - 1/D) / (1 - 1/D) | joint.
-  std::string confidence = "joint";
+  Fusion fusion = Fusion::cmmf;                       ///< of matching and monocular features
+  FusionStart fusion_start = FusionStart::additive;   ///< of cmmf
+  double fusion_lambda = 1;                           ///< weight of the confidence in cmmf
+  double fusion_tau = 0.2;                            ///< confidence that favours neither side
+  Guidance guidance = Guidance::csrg;                 ///< of a stage by the one before
+  GuidanceNorm guidance_norm = GuidanceNorm::robust;  ///< of csrg
+  Keep keep = Keep::last;                             ///< surfels of a stage
+  Confidence confidence = Confidence::joint;          ///< see `effective_confidence`
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -68,34 +65,22 @@ struct ModelConfig {
                     "have none"});
     v("context", s.context,
       Field{.help = "what the 3D U-Nets are told beside variances: nothing or the reference view's "
-                    "features",
-            .choices = {"none", "reference"}});
-    v("rotation", s.rotation,
-      Field{.help = "surfel orientation", .choices = {"camera", "camera+residual", "gradient"}});
-    v("mono", s.mono,
-      Field{.help = "branch that sees one image at a time", .choices = {"none", "own"}});
+                    "features"});
+    v("rotation", s.rotation, Field{.help = "surfel orientation"});
+    v("mono", s.mono, Field{.help = "branch that sees one image at a time"});
     v("mono_net", s.mono_net, Field{.help = "the monocular network"});
-    v("fusion", s.fusion,
-      Field{.help = "how monocular features join the matching features",
-            .choices = {"none", "naive", "cmmf"}});
-    v("fusion_start", s.fusion_start,
-      Field{.help = "what cmmf is before training", .choices = {"paper", "gated", "additive"}});
+    v("fusion", s.fusion, Field{.help = "how monocular features join the matching features"});
+    v("fusion_start", s.fusion_start, Field{.help = "what cmmf is before training"});
     v("fusion_lambda", s.fusion_lambda,
       Field{.help = "weight of the confidence in cmmf", .min = 0, .max = 100});
     v("fusion_tau", s.fusion_tau,
       Field{.help = "confidence at which cmmf favours neither side", .min = 0, .max = 1});
-    v("guidance", s.guidance,
-      Field{.help = "how rendered heights guide the next stage",
-            .choices = {"none", "csrg", "photometric"}});
+    v("guidance", s.guidance, Field{.help = "how rendered heights guide the next stage"});
     v("guidance_norm", s.guidance_norm,
-      Field{.help = "how they are compared with the stage's own",
-            .choices = {"robust", "interval"}});
-    v("keep", s.keep,
-      Field{.help = "whose surfels a stage hands on: its own or all so far",
-            .choices = {"last", "all"}});
+      Field{.help = "how they are compared with the stage's own"});
+    v("keep", s.keep, Field{.help = "whose surfels a stage hands on: its own or all so far"});
     v("confidence", s.confidence,
-      Field{.help = "confidence that fusion, guidance, surfels and loss routing read",
-            .choices = {"raw", "floor", "joint"}});
+      Field{.help = "confidence that fusion, guidance, surfels and loss routing read"});
   }
 
   friend bool operator==(const ModelConfig&, const ModelConfig&) = default;
@@ -135,8 +120,8 @@ struct ModelConfig {
 ///                  view here and in the sources there.
 /// throws  ConfigError naming the presets there are
 ModelConfig model_preset(const std::string& name);
-/// Their names, for texts.
-std::string model_preset_names();
+/// Their names, in the order above.
+std::vector<std::string> model_preset_names();
 
 /// Image pixels per pixel of each stage, coarse to fine.
 inline constexpr std::array<Index, 3> kStrides{4, 2, 1};

@@ -9,18 +9,18 @@
 namespace satsurf::nn {
 
 template <class T>
-CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base,
-                    Index levels, bool context)
-    : first_(p, name + ".first", channels, base, 1) {
-  for (Index l = 0; l < levels; ++l) {
+CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, const CostNetOptions& options)
+    : first_(p, name + ".first", options.channels, options.base, 1) {
+  const Index base = options.base;
+  for (Index l = 0; l < options.levels; ++l) {
     const std::string level = name + ".level" + std::to_string(l + 1);
     const Index c = base << l;
     levels_.push_back(Level{ConvNorm3d<T>(p, level + ".down", c, 2 * c, 2),
                             ConvNorm3d<T>(p, level + ".same", 2 * c, 2 * c, 1),
                             UpNorm3d<T>(p, level + ".up", 2 * c, c)});
   }
-  if (context) {
-    context_.emplace(p, name + ".context", channels, 2 * base, 4, 2, Activation::none);
+  if (options.context == Context::reference) {
+    context_.emplace(p, name + ".context", options.channels, 2 * base, 4, 2, Activation::none);
     context_->gamma.mutable_value().fill(T(0));  // matching comes first
   }
   last_ = p.create(name + ".logit.weight", {1, base, 3, 3, 3}, Init::kaiming(base * 27), true);

@@ -2,12 +2,21 @@
 #pragma once
 
 #include "satsurf/nn/blocks.h"
+#include "satsurf/nn/choices.h"
 
 #include <functional>
 #include <optional>
 #include <vector>
 
 namespace satsurf::nn {
+
+/// The sizes of a CostNet.
+struct CostNetOptions {
+  Index channels = 0;  ///< of the variance volume
+  Index base = 8;      ///< channels of the first level
+  Index levels = 3;    ///< halvings
+  Context context = Context::none;
+};
 
 /// 3D U-Net that turns a variance volume into one logit per hypothesis. A variance says how well
 /// views agree and nothing of what is seen there: with `context`, the first halved level is also
@@ -16,11 +25,8 @@ namespace satsurf::nn {
 template <class T>
 class CostNet {
  public:
-  /// p             where the parameters are created, under `name`
-  /// channels      of the variance volume
-  /// base, levels  as volume_base and volume_levels of ModelConfig
-  CostNet(ParameterSet<T>& p, const std::string& name, Index channels, Index base, Index levels,
-          bool context = false);
+  /// p  where the parameters are created, under `name`
+  CostNet(ParameterSet<T>& p, const std::string& name, const CostNetOptions& options);
   /// volume   [C D H W], D, H and W multiples of 2^levels
   /// features [1 C H W] of the reference view; not read without context
   /// poll     called between layers, may throw to stop

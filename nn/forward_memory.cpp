@@ -22,20 +22,21 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
   };
   // The last view's features are made beside those of the others: at full resolution a sum of two
   // terms of 4 b channels, from three maps of b, b / 2 and b / 4 and what is kept of them.
-  const bool mono = config.mono != "none", fusion = mono && config.fusion != "none";
+  const bool mono = config.mono != MonoBranch::none, fusion = mono && config.fusion != Fusion::none;
   const double m = static_cast<double>(config.mono_net.base);
-  std::array<double, 3> taps{mono ? 1.0 : 0, fusion ? 0.5 * m : 0, fusion ? m : 0};
-  const double all_taps = taps[0] + taps[1] + taps[2];
-  add("features", (N - 1) * (1.75 * b + all_taps) + 10.75 * b + 3);
-  double kept = N * (1.75 * b + all_taps + 3 + 1);  // features, monocular ones, images, validity
+  std::array<double, 3> mono_maps{mono ? 1.0 : 0, fusion ? 0.5 * m : 0, fusion ? m : 0};
+  const double all_mono_maps = mono_maps[0] + mono_maps[1] + mono_maps[2];
+  add("features", (N - 1) * (1.75 * b + all_mono_maps) + 10.75 * b + 3);
+  double kept =
+      N * (1.75 * b + all_mono_maps + 3 + 1);  // features, monocular ones, images, validity
   for (std::size_t s = 0; s < 3; ++s) {
     const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);
     const double C = static_cast<double>(config.base * kStrides[s]);
     const double D = static_cast<double>(config.hypotheses[s]);
     const double w = static_cast<double>(config.head_width[s]);
     const std::string stage = " " + std::to_string(s + 1);
-    if (s > 0) kept -= N * taps[s];  // fused
-    kept += N * p * D;               // hypotheses
+    if (s > 0) kept -= N * mono_maps[s];  // fused
+    kept += N * p * D;                    // hypotheses
     if (mono && s < 2) kept += N * p;
     // One view's volume and what the first convolution makes of it, or the sum at the U-Net's end;
     // then logits, their concatenation and the probabilities of all views.

@@ -5,8 +5,10 @@
 #include "satsurf/ops/blend.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/elementwise.h"
+#include "satsurf/ops/resize.h"
 
 #include <cmath>
+#include <vector>
 
 namespace satsurf::nn {
 namespace {
@@ -25,8 +27,8 @@ void make_identity(Conv2d<T>& conv) {
 template <class T>
 FeatureFusion<T>::FeatureFusion(ParameterSet<T>& p, const std::string& name,
                                 const ModelConfig& config, Index channels, Index mono_channels)
-    : naive_(config.fusion == "naive"),
-      additive_(config.fusion_start == "additive"),
+    : naive_(config.fusion == Fusion::naive),
+      additive_(config.fusion_start == FusionStart::additive),
       lambda_(config.fusion_lambda),
       tau_(config.fusion_tau) {
   if (naive_) {
@@ -34,7 +36,7 @@ FeatureFusion<T>::FeatureFusion(ParameterSet<T>& p, const std::string& name,
       joined_.emplace(p, name + ".joined", channels + mono_channels, channels, 1);
     return;
   }
-  const bool as_published = config.fusion_start == "paper";
+  const bool as_published = config.fusion_start == FusionStart::paper;
   value_features_.emplace(p, name + ".value_features", channels, channels, 1);
   if (!as_published) make_identity(*value_features_);
   if (mono_channels == 0) return;
@@ -74,6 +76,25 @@ BasicVar<T> FeatureFusion<T>::operator()(const BasicVar<T>& features, const Basi
   const BasicVar<T> weight = sigmoid(scaled + BasicVar<T>(bias));
   const BasicVar<T> other = (*value_mono_)(mono);
   return add_weighted(own, weight, additive_ ? other : sub(other, own));
+}
+
+template <class T>
+BasicVar<T> FeatureFusion<T>::fuse_views(const BasicVar<T>& features, const BasicVar<T>& mono,
+                                         const BasicTensor<T>& confidence) const {
+  const Index N = features.dim(0), h = features.dim(2), w = features.dim(3);
+  const auto of_view = [](const BasicVar<T>& x, Index i) {
+    return x.empty() ? x : slice(x, 0, i, i + 1);
+  };
+  BasicTensor<T> resized;
+  {
+    const NoGrad no_grad;
+    resized = resize_bilinear(BasicVar<T>(confidence), h, w).value();
+  }
+  std::vector<BasicVar<T>> fused;
+  for (Index i = 0; i < N; ++i)
+    fused.push_back(
+        (*this)(of_view(features, i), of_view(mono, i), resized.slice0(i).reshaped({1, h, w})));
+  return concat(fused, 0);
 }
 
 template class FeatureFusion<float>;

@@ -9,8 +9,8 @@
 
 namespace satsurf::nn {
 
-/// Joins the matching features F of a stage with monocular ones M, view by view and pixel by pixel,
-/// the more of M the less the stage before was sure of its heights (CMMF):
+/// Confidence-aware fusion (CMMF) of a stage's matching features F with monocular ones M, pixel by
+/// pixel: the less confidence C the stage before had in its heights, the more of M.
 ///   b = lambda (C - tau);  l_mvs = <q(F), k_m(F)> / sqrt(d) + b;  l_mono = <q(F), k_o(M)> / sqrt(d)
 ///   - b;  W = softmax(l_mvs, l_mono)_mono;  F' = (1 - W) v_m(F) + W v_o(M)
 /// with 1 x 1 convolutions q, k, v and d the channels of F. By `fusion_start` of the configuration:
@@ -34,6 +34,14 @@ class FeatureFusion {
   /// returns     [N C h w]
   /// throws      ShapeError
   BasicVar<T> operator()(const BasicVar<T>& features, const BasicVar<T>& mono,
+                         const BasicTensor<T>& confidence) const;
+  /// The same with the confidence as the stage before has it, view by view: what is in between is
+  /// large.
+  /// features    [N C h w]
+  /// mono        [N M h w], or an empty Var without a branch
+  /// confidence  [N h' w'], bilinear from there
+  /// returns     [N C h w]
+  BasicVar<T> fuse_views(const BasicVar<T>& features, const BasicVar<T>& mono,
                          const BasicTensor<T>& confidence) const;
 
  private:

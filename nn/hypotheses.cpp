@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/hypotheses.h"
 
-#include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/resize.h"
 
 #include <algorithm>
 #include <cmath>
+#include <string>
 
 namespace satsurf::nn {
+
+double middle_height(const NetworkInput& scene) { return 0.5 * (scene.z_low + scene.z_high); }
 
 double mean_parallax(const NetworkInput& scene) {
   const std::size_t N = scene.sources.size();
@@ -17,13 +20,16 @@ double mean_parallax(const NetworkInput& scene) {
   for (std::size_t i = 0; i < N; ++i)
     for (std::size_t j = 0; j < N; ++j) {
       if (i == j) continue;
-      const auto jac = scene.transfer[i][j].jacobian(x, y, 0.5 * (scene.z_low + scene.z_high));
+      const auto jac = scene.transfer[i][j].jacobian(x, y, middle_height(scene));
       sum += std::hypot(jac[0][2], jac[1][2]);
     }
   return sum / static_cast<double>(N * (N - 1));
 }
 
 std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const NetworkInput& scene) {
+  if (!(scene.z_high > scene.z_low))
+    throw ConfigError("model: height range " + std::to_string(scene.z_low) + " to " +
+                      std::to_string(scene.z_high) + ", expected a positive span");
   constexpr double kNoParallax = 1e-6;  // px per m; views from one direction carry no height
   const double last = std::clamp(config.interval_px / std::max(mean_parallax(scene), kNoParallax),
                                  config.interval_min, config.interval_max);
@@ -31,8 +37,40 @@ std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const Netw
           last};
 }
 
+std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInput& scene) {
+  const auto intervals = hypothesis_intervals(config, scene);
+  const PosedImage& view = scene.sources[0];
+  std::array<StageGrid, 3> grids;
+  double next_reach = 0;
+  for (std::size_t s = grids.size(); s-- > 0;) {
+    grids[s] = {.views = static_cast<Index>(scene.sources.size()),
+                .height = view.rgb.dim(1) / kStrides[s],
+                .width = view.rgb.dim(2) / kStrides[s],
+                .stride = kStrides[s],
+                .hypotheses = config.hypotheses[s],
+                .interval = intervals[s],
+                .next_reach = next_reach};
+    if (config.hypotheses[s] > 0)
+      next_reach = 0.5 * static_cast<double>(config.hypotheses[s]) * intervals[s];
+  }
+  return grids;
+}
+
 template <class T>
-BasicTensor<T> uniform_hypotheses(double low, double high, Index N, Index D, Index H, Index W) {
+BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
+                                const StageHeights<T>* previous) {
+  if (grid.hypotheses == 0) return {};
+  if (previous == nullptr) return uniform_hypotheses<T>(grid, scene.z_low, scene.z_high);
+  const NoGrad no_grad;
+  const BasicVar<T> centre = resize_bilinear(previous->height.detach(), grid.height, grid.width);
+  // a surface at the very edge of the range stays inside the band
+  const double margin = 2 * grid.interval;
+  return narrowed_hypotheses(grid, centre.value(), scene.z_low - margin, scene.z_high + margin);
+}
+
+template <class T>
+BasicTensor<T> uniform_hypotheses(const StageGrid& grid, double low, double high) {
+  const Index N = grid.views, D = grid.hypotheses, H = grid.height, W = grid.width;
   auto out = BasicTensor<T>::uninitialised({N, D, H, W});
   for_each_index(N * D, [&](Index nd) {
     const double t = static_cast<double>(nd % D) / static_cast<double>(D - 1);
@@ -42,62 +80,34 @@ BasicTensor<T> uniform_hypotheses(double low, double high, Index N, Index D, Ind
 }
 
 template <class T>
-BasicTensor<T> narrowed_hypotheses(const BasicTensor<T>& centre, double interval, Index D,
-                                   double low, double high) {
-  const Index N = centre.dim(0), H = centre.dim(1), W = centre.dim(2), P = H * W;
+BasicTensor<T> narrowed_hypotheses(const StageGrid& grid, const BasicTensor<T>& centre, double low,
+                                   double high) {
+  const Index N = grid.views, D = grid.hypotheses, H = grid.height, W = grid.width, P = H * W;
+  if (centre.shape() != Shape{N, H, W})
+    throw ShapeError("narrowed_hypotheses: centre has shape " + centre.shape().str() +
+                     ", expected " + Shape{N, H, W}.str());
   auto out = BasicTensor<T>::uninitialised({N, D, H, W});
-  const double half = 0.5 * interval * static_cast<double>(D - 1);
+  const double half = 0.5 * grid.interval * static_cast<double>(D - 1);
   for_each_index(N, [&](Index n) {
     for (Index i = 0; i < P; ++i) {
       double c = static_cast<double>(centre[n * P + i]);
       // A range narrower than the window stays centred.
       c = low + half > high - half ? 0.5 * (low + high) : std::clamp(c, low + half, high - half);
       for (Index d = 0; d < D; ++d)
-        out[(n * D + d) * P + i] = static_cast<T>(c - half + interval * static_cast<double>(d));
+        out[(n * D + d) * P + i] =
+            static_cast<T>(c - half + grid.interval * static_cast<double>(d));
     }
   });
   return out;
 }
 
-template <class T>
-BasicTensor<T> probability_within(const BasicTensor<T>& probability,
-                                  const BasicTensor<T>& hypotheses, const BasicTensor<T>& height,
-                                  double interval, double reach) {
-  Dims dim("probability_within");
-  dim.match("probability", probability, "N D H W")
-      .match("hypotheses", hypotheses, "N D H W")
-      .match("height", height, "N H W");
-  const Index D = dim["D"], P = dim["H"] * dim["W"];
-  auto out = BasicTensor<T>::uninitialised(height.shape());
-  const T scale = static_cast<T>(1 / interval), most = static_cast<T>(reach / interval + 0.5);
-  for_range(height.count(), 1 << 12, [&](Index begin, Index end) {
-    for (Index from = begin; from < end;) {  // pixels of one map
-      const Index n = from / P, to = std::min(end, (n + 1) * P);
-      std::fill(out.data() + from, out.data() + to, T(0));
-      for (Index d = 0; d < D; ++d) {
-        const Index at = (n * D + d - n) * P;  // from a pixel of the maps to one of the volume
-        for (Index i = from; i < to; ++i) {
-          const T far = std::abs(hypotheses[at + i] - height[i]) * scale;
-          out[i] += probability[at + i] * std::clamp(most - far, T(0), T(1));
-        }
-      }
-      // probabilities add up to 1 but for rounding
-      for (Index i = from; i < to; ++i) out[i] = std::min(out[i], T(1));
-      from = to;
-    }
-  });
-  return out;
-}
-
-template BasicTensor<float> uniform_hypotheses(double, double, Index, Index, Index, Index);
-template BasicTensor<double> uniform_hypotheses(double, double, Index, Index, Index, Index);
-template BasicTensor<float> narrowed_hypotheses(const BasicTensor<float>&, double, Index, double,
-                                                double);
-template BasicTensor<double> narrowed_hypotheses(const BasicTensor<double>&, double, Index, double,
-                                                 double);
-template Tensor probability_within(const Tensor&, const Tensor&, const Tensor&, double, double);
-template BasicTensor<double> probability_within(const BasicTensor<double>&,
-                                                const BasicTensor<double>&,
-                                                const BasicTensor<double>&, double, double);
+template Tensor stage_hypotheses(const NetworkInput&, const StageGrid&, const StageHeights<float>*);
+template BasicTensor<double> stage_hypotheses(const NetworkInput&, const StageGrid&,
+                                              const StageHeights<double>*);
+template Tensor uniform_hypotheses(const StageGrid&, double, double);
+template BasicTensor<double> uniform_hypotheses(const StageGrid&, double, double);
+template Tensor narrowed_hypotheses(const StageGrid&, const Tensor&, double, double);
+template BasicTensor<double> narrowed_hypotheses(const StageGrid&, const BasicTensor<double>&,
+                                                 double, double);
 
 }  // namespace satsurf::nn

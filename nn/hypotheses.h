@@ -3,10 +3,14 @@
 
 #include "satsurf/nn/config.h"
 #include "satsurf/nn/input.h"
+#include "satsurf/nn/stage.h"
 
 #include <array>
 
 namespace satsurf::nn {
+
+/// The middle of the scene's height range, local m.
+double middle_height(const NetworkInput& scene);
 
 /// Mean parallax over all ordered pairs of source views, at the window's centre.
 /// returns  image pixels per metre of height
@@ -16,40 +20,40 @@ double mean_parallax(const NetworkInput& scene);
 /// clipped to [interval_min, interval_max]; the second's is twice that; the first divides the
 /// scene's range evenly.
 /// returns  m, coarse to fine
+/// throws   ConfigError if the scene's height range is empty
 /// Source: after Gu et al. 2020 (CasMVSNet), with intervals by parallax instead of fixed ones.
 std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const NetworkInput& scene);
 
-/// Stage 1: heights from low to high, both included, the same for every pixel.
-/// low, high      m
-/// views          N
-/// hypotheses     D
-/// height, width  of the stage's maps, px
-/// returns        [N D H W] m
-template <class T>
-BasicTensor<T> uniform_hypotheses(double low, double high, Index views, Index hypotheses,
-                                  Index height, Index width);
+/// The three stages' sizes for a scene, coarse to fine.
+/// throws  ConfigError as `hypothesis_intervals`
+std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInput& scene);
 
-/// Later stages: heights around each pixel's centre height; a window that would leave [low, high]
-/// is shifted back inside, not squeezed.
-/// centre      [N H W] m
-/// interval    between neighbouring hypotheses, m
-/// hypotheses  D
-/// low, high   m
-/// returns     [N D H W] m
+/// The heights that one stage tries: the whole range first, then a narrow band around the surface of
+/// the stage before, bilinear and without its gradient.
+/// scene     whose height range is searched
+/// grid      of the stage
+/// previous  nullptr for the first stage
+/// returns   [N D h w] m; empty where the stage does not search
 template <class T>
-BasicTensor<T> narrowed_hypotheses(const BasicTensor<T>& centre, double interval, Index hypotheses,
-                                   double low, double high);
+BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
+                                const StageHeights<T>* previous);
 
-/// Probability that the surface lies within `reach` of a pixel's height, where each hypothesis
-/// stands for the interval around it.
-/// probability, hypotheses  [N D H W]; m, evenly spaced
-/// height                   [N H W] m
-/// interval, reach          m
-/// returns                  [N H W] in [0, 1]
-/// throws                   ShapeError
+/// Heights from low to high, both included, the same for every pixel.
+/// grid       its interval is not read
+/// low, high  m
+/// returns    [N D h w] m
 template <class T>
-BasicTensor<T> probability_within(const BasicTensor<T>& probability,
-                                  const BasicTensor<T>& hypotheses, const BasicTensor<T>& height,
-                                  double interval, double reach);
+BasicTensor<T> uniform_hypotheses(const StageGrid& grid, double low, double high);
+
+/// Heights around each pixel's centre height; a window that would leave [low, high] is shifted back
+/// inside, not squeezed.
+/// grid       of the stage
+/// centre     [N h w] m
+/// low, high  m
+/// returns    [N D h w] m
+/// throws     ShapeError
+template <class T>
+BasicTensor<T> narrowed_hypotheses(const StageGrid& grid, const BasicTensor<T>& centre, double low,
+                                   double high);
 
 }  // namespace satsurf::nn

@@ -72,9 +72,9 @@ MonoOutput<T> MonoNet<T>::operator()(const BasicVar<T>& image) const {
   for (const Up& up : up_) {
     skips.pop_back();
     x = raise(up, x, skips.back());
-    // both readers of a tap then share one evaluation
-    if (skips.size() == 2) x = out.tap_half = materialise(x);
-    if (skips.size() == 1) x = out.tap_full = materialise(x);
+    // both readers of these features then share one evaluation
+    if (skips.size() == 2) x = out.features_half = materialise(x);
+    if (skips.size() == 1) x = out.features_full = materialise(x);
   }
   out.height = reshape(height_(x), Shape{N, H, W});
   return out;

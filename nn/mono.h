@@ -25,9 +25,9 @@ struct MonoConfig {
 /// What one image alone tells of the heights in it.
 template <class T>
 struct MonoOutput {
-  BasicVar<T> height;    ///< [N H W] higher is higher; scale and shift are arbitrary
-  BasicVar<T> tap_half;  ///< [N C2 H/2 W/2] features of the decoder at stride 2
-  BasicVar<T> tap_full;  ///< [N C3 H W] at stride 1
+  BasicVar<T> height;         ///< [N H W] higher is higher; scale and shift are arbitrary
+  BasicVar<T> features_half;  ///< [N C2 H/2 W/2] features of the decoder at stride 2
+  BasicVar<T> features_full;  ///< [N C3 H W] at stride 1
 };
 
 /// Relative heights of single images: an encoder down to stride 32 and a decoder back to stride 1

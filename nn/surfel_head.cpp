@@ -93,10 +93,10 @@ BasicVar<T> SurfelHead<T>::operator()(const BasicVar<T>& x) const {
 }
 
 template <class T>
-splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<T>& height,
-                                         const BasicTensor<T>& image, const BasicVar<T>& confidence,
+splat::BasicSurfels<T> surfels_from_maps(const SurfelMaps<T>& maps,
                                          const std::vector<PixelGeometry>& geometry,
                                          Rotation rotation) {
+  const auto& [raw, height, image, confidence] = maps;
   Dims dim("surfels_from_maps");
   dim.match("raw", raw, "N 10 H W")
       .match("height", height, "N H W")
@@ -195,15 +195,9 @@ splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<
 
 template class SurfelHead<float>;
 template class SurfelHead<double>;
-template splat::BasicSurfels<float> surfels_from_maps(const BasicVar<float>&,
-                                                      const BasicVar<float>&,
-                                                      const BasicTensor<float>&,
-                                                      const BasicVar<float>&,
+template splat::BasicSurfels<float> surfels_from_maps(const SurfelMaps<float>&,
                                                       const std::vector<PixelGeometry>&, Rotation);
-template splat::BasicSurfels<double> surfels_from_maps(const BasicVar<double>&,
-                                                       const BasicVar<double>&,
-                                                       const BasicTensor<double>&,
-                                                       const BasicVar<double>&,
+template splat::BasicSurfels<double> surfels_from_maps(const SurfelMaps<double>&,
                                                        const std::vector<PixelGeometry>&, Rotation);
 
 }  // namespace satsurf::nn

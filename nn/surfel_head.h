@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/blocks.h"
+#include "satsurf/nn/choices.h"
 #include "satsurf/nn/input.h"
 #include "satsurf/splat/rasterize.h"
 
@@ -43,11 +44,13 @@ class SurfelHead {
   BasicVar<T> weight_, bias_;
 };
 
-/// Which way surfels face.
-enum class Rotation {
-  camera,    ///< all towards the camera
-  residual,  ///< as the head turns them from there
-  gradient   ///< along the surface: tangents are the neighbours' differences, without gradients
+/// What surfels are made from, at one stage's resolution.
+template <class T>
+struct SurfelMaps {
+  BasicVar<T> raw;         ///< [N 10 H W] of the head
+  BasicVar<T> height;      ///< [N H W] m
+  BasicTensor<T> image;    ///< [N 3 H W]
+  BasicVar<T> confidence;  ///< [N H W], becomes auxiliary channel 0
 };
 
 /// One surfel per pixel from raw attributes and heights:
@@ -58,17 +61,12 @@ enum class Rotation {
 ///   opacity = sigmoid(r6)
 ///   colour  = image + r7..9
 /// dL/dH = v . dL/dmu with v the ground displacement along the ray per metre (v_z = 1).
-/// raw                [N 10 H W]
-/// height             [N H W] m
-/// image              [N 3 H W]
-/// confidence         [N H W], becomes auxiliary channel 0
-/// geometry           N cameras at this resolution
-/// rotation           where q comes from
-/// returns            N*H*W surfels in the local frame
-/// throws             ShapeError
+/// geometry  N cameras at this resolution
+/// rotation  where q comes from
+/// returns   N*H*W surfels in the local frame
+/// throws    ShapeError
 template <class T>
-splat::BasicSurfels<T> surfels_from_maps(const BasicVar<T>& raw, const BasicVar<T>& height,
-                                         const BasicTensor<T>& image, const BasicVar<T>& confidence,
+splat::BasicSurfels<T> surfels_from_maps(const SurfelMaps<T>& maps,
                                          const std::vector<PixelGeometry>& geometry,
                                          Rotation rotation);
 

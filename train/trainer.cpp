@@ -115,7 +115,7 @@ scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::
 }
 
 bool needs_branch(const TrainConfig& config) {
-  if (config.model.mono == "none") return false;
+  if (config.model.mono == nn::MonoBranch::none) return false;
   if (config.init.empty()) return true;
   const std::string prefix = std::string(nn::kModelPrefix) + nn::kMonoPrefix;
   const TensorFile file = load_safetensors(config.init);
@@ -127,7 +127,7 @@ std::vector<std::string> idle_settings(const TrainConfig& config) {
   std::vector<std::string> out;
   if (config.lpips_weight > 0 && config.lpips_weights.empty())
     out.emplace_back("no perceptual loss: lpips_weights names no file");
-  const bool mono = config.model.mono != "none";
+  const bool mono = config.model.mono != nn::MonoBranch::none;
   if (config.geo_weight > 0 && config.geo_target != "dsm" && !mono)
     out.emplace_back("no correlation with relative heights: the network has no monocular branch");
   if (!mono && !config.mono_weights.empty())
@@ -150,7 +150,8 @@ void train(const TrainConfig& config, const fs::path& data, std::uint64_t seed,
   if (branch && mono.empty())
     throw ConfigError(
         "train: no weights of the monocular branch, expected mono_weights: what --task mono made");
-  if (!resume && !branch && config.model.mono != "none" && !config.mono_weights.empty())
+  if (!resume && !branch && config.model.mono != nn::MonoBranch::none &&
+      !config.mono_weights.empty())
     throw ConfigError("train: mono_weights is " + config.mono_weights + ", but " + config.init +
                       " has a monocular branch already, expected one of them");
   const auto scenes = training_scenes(data, config.views + 1, callbacks.reading);  // and one target

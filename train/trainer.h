@@ -27,8 +27,7 @@ struct TrainConfig : TrainingSettings, LossConfig {
   static void fields(Self& s, V&& v) {
     v("preset", s.preset,
       Field{.help = "what the fields of network and losses start from",
-            .choices = {"tiny", "tiny_full", "base8", "base16", "cascade8", "paper", "mvsplat_like",
-                        "hisplat_like", "skysplat_like"}});
+            .choices = nn::model_preset_names()});
     TrainingSettings::fields(s, v);
     LossConfig::fields(s, v);
     v("model", s.model, Field{.help = "network"});

@@ -2,11 +2,26 @@
 #include "satsurf/core/error.h"
 #include "satsurf/nn/config.h"
 
+#include <string>
+#include <vector>
+
 #include <doctest/doctest.h>
 
 using namespace satsurf;
 using nn::model_preset;
 using nn::ModelConfig;
+
+namespace {
+
+ModelConfig matching_alone(ModelConfig c) {
+  c.mono = nn::MonoBranch::none;
+  c.fusion = nn::Fusion::none;
+  c.guidance = nn::Guidance::none;
+  c.context = nn::Context::none;
+  return c;
+}
+
+}  // namespace
 
 TEST_CASE("the defaults are the documented ones") {
   const ModelConfig c;
@@ -14,29 +29,28 @@ TEST_CASE("the defaults are the documented ones") {
   CHECK(c.base == 8);
   CHECK(c.hypotheses == std::array<Index, 3>{64, 32, 8});
   CHECK(c.variance_includes_reference);
-  CHECK(c.context == "reference");
-  CHECK(c.rotation == "camera+residual");
-  CHECK(c.mono == "own");
-  CHECK(c.fusion == "cmmf");
-  CHECK(c.fusion_start == "additive");
+  CHECK(c.context == nn::Context::reference);
+  CHECK(c.rotation == nn::Rotation::residual);
+  CHECK(c.mono == nn::MonoBranch::own);
+  CHECK(c.fusion == nn::Fusion::cmmf);
+  CHECK(c.fusion_start == nn::FusionStart::additive);
   CHECK(c.fusion_lambda == 1);
   CHECK(c.fusion_tau == 0.2);
-  CHECK(c.guidance == "csrg");
-  CHECK(c.guidance_norm == "robust");
-  CHECK(c.keep == "last");
-  CHECK(c.confidence == "joint");
+  CHECK(c.guidance == nn::Guidance::csrg);
+  CHECK(c.guidance_norm == nn::GuidanceNorm::robust);
+  CHECK(c.keep == nn::Keep::last);
+  CHECK(c.confidence == nn::Confidence::joint);
 }
 
 TEST_CASE("presets differ from base8 in what they say and in nothing else") {
   ModelConfig paper;
-  paper.context = "none";
-  paper.rotation = "camera";
-  paper.fusion_start = "paper";
-  paper.confidence = "raw";
+  paper.context = nn::Context::none;
+  paper.rotation = nn::Rotation::camera;
+  paper.fusion_start = nn::FusionStart::paper;
+  paper.confidence = nn::Confidence::raw;
   CHECK(model_preset("paper") == paper);
 
-  ModelConfig cascade;
-  cascade.mono = cascade.fusion = cascade.guidance = cascade.context = "none";
+  const ModelConfig cascade = matching_alone({});
   CHECK(model_preset("cascade8") == cascade);
 
   ModelConfig mvsplat = cascade;
@@ -44,14 +58,14 @@ TEST_CASE("presets differ from base8 in what they say and in nothing else") {
   CHECK(model_preset("mvsplat_like") == mvsplat);
 
   ModelConfig hisplat = cascade;
-  hisplat.keep = "all";
-  hisplat.guidance = "photometric";
+  hisplat.keep = nn::Keep::all;
+  hisplat.guidance = nn::Guidance::photometric;
   CHECK(model_preset("hisplat_like") == hisplat);
 
   ModelConfig skysplat = cascade;
-  skysplat.mono = "own";
+  skysplat.mono = nn::MonoBranch::own;
   skysplat.hypotheses = {64, 0, 0};
-  skysplat.rotation = "camera";
+  skysplat.rotation = nn::Rotation::camera;
   CHECK(model_preset("skysplat_like") == skysplat);
 
   ModelConfig wide;
@@ -59,8 +73,31 @@ TEST_CASE("presets differ from base8 in what they say and in nothing else") {
   wide.head_width = {96, 64, 48};
   CHECK(model_preset("base16") == wide);
 
-  ModelConfig tiny = model_preset("tiny_full");
-  tiny.mono = tiny.fusion = tiny.guidance = tiny.context = "none";
-  CHECK(model_preset("tiny") == tiny);
+  CHECK(model_preset("tiny") == matching_alone(model_preset("tiny_full")));
   CHECK_THROWS_AS(model_preset("base9"), ConfigError);
+}
+
+TEST_CASE("choices are spelled as weights files have them, and presets are listed once") {
+  ModelConfig config;
+  std::string ranges;
+  for (const FieldInfo& row : describe(config))
+    if (row.type == "text") ranges += row.name + " " + row.value + ": " + row.range + "\n";
+  CHECK(ranges ==
+        "context reference: none | reference\n"
+        "rotation camera+residual: camera | camera+residual | gradient\n"
+        "mono own: none | own\n"
+        "fusion cmmf: none | naive | cmmf\n"
+        "fusion_start additive: paper | gated | additive\n"
+        "guidance csrg: none | csrg | photometric\n"
+        "guidance_norm robust: robust | interval\n"
+        "keep last: last | all\n"
+        "confidence joint: raw | floor | joint\n");
+  set_field(config, "rotation", "camera");
+  CHECK(config.rotation == nn::Rotation::camera);
+
+  const std::vector<std::string> names{"tiny",         "tiny_full",    "base8",
+                                       "base16",       "cascade8",     "paper",
+                                       "mvsplat_like", "hisplat_like", "skysplat_like"};
+  CHECK(nn::model_preset_names() == names);
+  for (const std::string& name : names) CHECK_NOTHROW(model_preset(name));
 }

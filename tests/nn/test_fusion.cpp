@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/fusion.h"
 #include "satsurf/nn/guidance.h"
+#include "satsurf/ops/resize.h"
 
 #include <cmath>
 #include <map>
@@ -91,9 +92,9 @@ const Shape kFeatureShape{kViews, kChannels, kRows, kColumns},
 nn::ModelConfig fusion_config(const std::string& start) {
   nn::ModelConfig config;
   if (start == "naive")
-    config.fusion = "naive";
+    config.fusion = nn::Fusion::naive;
   else
-    config.fusion_start = start;
+    config.fusion_start = enum_from<nn::FusionStart>(start, "test");
   config.fusion_lambda = 1.7;
   config.fusion_tau = 0.35;
   return config;
@@ -103,13 +104,14 @@ nn::ModelConfig fusion_config(const std::string& start) {
 
 TEST_CASE("fusion is the published one, pixel by pixel") {
   const Doubles features = normal(kFeatureShape, 1), mono = normal(kMonoShape, 2),
-                sure = confidences(kMapShape, 3);
+                confidence = confidences(kMapShape, 3);
   for (const std::string start : {"paper", "gated", "additive", "naive"}) {
     CAPTURE(start);
     Parameters p(1);
     const nn::FeatureFusion<double> fusion(p, "f", fusion_config(start), kChannels, kMono);
     const auto w = randomised(p, 10);
-    const Doubles fused = fusion(BasicVar<double>(features), BasicVar<double>(mono), sure).value();
+    const Doubles fused =
+        fusion(BasicVar<double>(features), BasicVar<double>(mono), confidence).value();
     REQUIRE(fused.shape() == kFeatureShape);
     double least = 1, most = 0;
     for (Index n = 0; n < kViews; ++n)
@@ -121,7 +123,8 @@ TEST_CASE("fusion is the published one, pixel by pixel") {
           both.insert(both.end(), m.begin(), m.end());
           wanted = linear(w, "f.joined", both);
         } else {
-          const double b = 1.7 * (sure[n * kRows * kColumns + i] - 0.35), root = std::sqrt(4.0);
+          const double b = 1.7 * (confidence[n * kRows * kColumns + i] - 0.35),
+                       root = std::sqrt(4.0);
           const auto q = linear(w, "f.query", f);
           const double l_mvs = dot(q, linear(w, "f.key_features", f)) / root + b;
           const double l_mono = dot(q, linear(w, "f.key_mono", m)) / root - b +
@@ -139,14 +142,28 @@ TEST_CASE("fusion is the published one, pixel by pixel") {
   }
 }
 
+TEST_CASE("all views at once and one after the other are the same") {
+  const Doubles coarse = confidences({kViews, 2, 3}, 3);
+  const BasicVar<double> features(normal(kFeatureShape, 1)), mono(normal(kMonoShape, 2));
+  Parameters p(1);
+  const nn::FeatureFusion<double> fusion(p, "f", fusion_config("gated"), kChannels, kMono);
+  randomised(p, 10);
+  const Doubles confidence = resize_bilinear(BasicVar<double>(coarse), kRows, kColumns).value();
+  const Doubles at_once = fusion(features, mono, confidence).value(),
+                by_view = fusion.fuse_views(features, mono, coarse).value();
+  REQUIRE(by_view.shape() == kFeatureShape);
+  for (Index i = 0; i < at_once.count(); ++i)
+    REQUIRE(by_view[i] == doctest::Approx(at_once[i]).epsilon(1e-12));
+}
+
 TEST_CASE("fusion without a monocular branch") {
-  const Doubles features = normal(kFeatureShape, 1), sure = confidences(kMapShape, 3);
+  const Doubles features = normal(kFeatureShape, 1), confidence = confidences(kMapShape, 3);
   for (const std::string start : {"paper", "gated", "additive", "naive"}) {
     CAPTURE(start);
     Parameters p(1);
     const nn::FeatureFusion<double> fusion(p, "f", fusion_config(start), kChannels, 0);
     const auto w = randomised(p, 10);
-    const Doubles fused = fusion(BasicVar<double>(features), {}, sure).value();
+    const Doubles fused = fusion(BasicVar<double>(features), {}, confidence).value();
     for (Index n = 0; n < kViews; ++n)
       for (Index i = 0; i < kRows * kColumns; ++i) {
         const auto f = pixel(features, n, i), got = pixel(fused, n, i);
@@ -159,11 +176,11 @@ TEST_CASE("fusion without a monocular branch") {
 
 TEST_CASE("what fusion is before training") {
   const Doubles features = normal(kFeatureShape, 1), mono = normal(kMonoShape, 2),
-                sure = confidences(kMapShape, 3);
+                confidence = confidences(kMapShape, 3);
   const auto fused = [&](const std::string& start) {
     Parameters p(1);
     const nn::FeatureFusion<double> fusion(p, "f", fusion_config(start), kChannels, kMono);
-    return fusion(BasicVar<double>(features), BasicVar<double>(mono), sure).value();
+    return fusion(BasicVar<double>(features), BasicVar<double>(mono), confidence).value();
   };
   const Doubles additive = fused("additive"), gated = fused("gated"), paper = fused("paper");
   double apart = 0;
@@ -178,7 +195,7 @@ TEST_CASE("what fusion is before training") {
 }
 
 TEST_CASE("gradients of fusion in double, to its inputs and every parameter") {
-  const Doubles sure = confidences(kMapShape, 3);
+  const Doubles confidence = confidences(kMapShape, 3);
   for (const std::string start : {"paper", "gated", "additive", "naive"}) {
     CAPTURE(start);
     Parameters p(1);
@@ -186,7 +203,8 @@ TEST_CASE("gradients of fusion in double, to its inputs and every parameter") {
     randomised(p, 10);
     const BasicVar<double> features(normal(kFeatureShape, 1), true),
         mono(normal(kMonoShape, 2), true);
-    CHECK(gradcheck_of([&] { return fusion(features, mono, sure); }, vars_of(p, {features, mono})));
+    CHECK(gradcheck_of([&] { return fusion(features, mono, confidence); },
+                       vars_of(p, {features, mono})));
   }
 }
 
@@ -194,7 +212,7 @@ TEST_CASE("guidance adds the gated residual, and nothing before training") {
   const Shape map{1, 5, 6, 7};
   const BasicVar<double> x(normal(map, 1), true), residual(normal({1, 3, 6, 7}, 2), true);
   Parameters p(1);
-  const nn::Guidance<double> guidance(p, "g", 5);
+  const nn::CrossStageGuidance<double> guidance(p, "g", {}, 5);
   const Doubles fresh = guidance(x, residual).value();
   for (Index i = 0; i < fresh.count(); ++i) REQUIRE(fresh[i] == x.value()[i]);
 
@@ -223,7 +241,8 @@ TEST_CASE("the residual of colours is image less rendering where both are known"
       rendered[c * h * w / 4 + i] = 0.1 * static_cast<double>(c);
   valid[w - 1] = 0.2;  // top right: no data
   alpha[w / 2] = 0.3;  // bottom left: not covered
-  const Doubles r = nn::photometric_residual(image, valid, rendered, alpha);
+  const Doubles r =
+      nn::photometric_residual<double>({.image = image, .validity = valid}, {rendered, alpha});
   REQUIRE(r.shape() == Shape{1, 3, h, w});
   for (Index c = 0; c < 3; ++c)
     for (Index y = 0; y < h; ++y)

@@ -37,8 +37,9 @@ TEST_CASE("the residual of guidance compares maps as defined") {
   }
   valid[5] = 0.3;
   alpha[0] = 0.4;
-  const auto interval = nn::guidance_residual(height, confidence, valid, rendered, alpha,
-                                              nn::GuidanceNorm::interval, 0.5);
+  const nn::GuidedMaps<double> stage{
+      .height = height, .confidence = confidence, .validity = valid, .interval = 0.5};
+  const auto interval = nn::guidance_residual(stage, {rendered, alpha}, nn::GuidanceNorm::interval);
   REQUIRE(interval.shape() == Shape{2, 3, h, w});
   const auto at = [&](const Doubles& t, Index n, Index c, Index y, Index x) {
     return t[((n * 3 + c) * h + y) * w + x];
@@ -53,8 +54,7 @@ TEST_CASE("the residual of guidance compares maps as defined") {
   CHECK(at(interval, 0, 0, 0, 0) == 0);  // not covered
   CHECK(at(interval, 0, 0, 1, 1) == 0);  // samples a pixel that is not covered
 
-  const auto robust = nn::guidance_residual(height, confidence, valid, rendered, alpha,
-                                            nn::GuidanceNorm::robust, 0.5);
+  const auto robust = nn::guidance_residual(stage, {rendered, alpha}, nn::GuidanceNorm::robust);
   for (Index n = 0; n < 2; ++n) {
     std::vector<double> values, deviations;
     for (Index i = 0; i < h * w; ++i)
@@ -67,9 +67,9 @@ TEST_CASE("the residual of guidance compares maps as defined") {
     CHECK(at(robust, n, 0, 7, 6) ==
           doctest::Approx(clamped((height[n * h * w + 7 * w + 6] - m) / (mad + 0.1) - theirs)));
   }
-  CHECK_THROWS_AS(nn::guidance_residual(height, confidence, valid, rendered, Doubles({2, 3, 3}),
-                                        nn::GuidanceNorm::robust, 0.5),
-                  ShapeError);
+  CHECK_THROWS_AS(
+      nn::guidance_residual(stage, {rendered, Doubles({2, 3, 3})}, nn::GuidanceNorm::robust),
+      ShapeError);
 }
 
 TEST_CASE("surfels that follow the surface face along its normal") {
@@ -79,9 +79,10 @@ TEST_CASE("surfels that follow the surface face along its normal") {
   const nn::PixelGeometry geometry = nn::pixel_geometry(scene.sources[0], 0, 1);
   Doubles height({1, 16, 16});
   for (Index i = 0; i < 256; ++i) height[i] = 0.3 * 0.5 * (static_cast<double>(i % 16) - 7.5);
-  const auto s = nn::surfels_from_maps(
-      BasicVar<double>(Doubles({1, 10, 16, 16})), BasicVar<double>(height), Doubles({1, 3, 16, 16}),
-      BasicVar<double>(Doubles({1, 16, 16})), {geometry}, nn::Rotation::gradient);
+  const auto s = nn::surfels_from_maps<double>(
+      {BasicVar<double>(Doubles({1, 10, 16, 16})), BasicVar<double>(height),
+       Doubles({1, 3, 16, 16}), BasicVar<double>(Doubles({1, 16, 16}))},
+      {geometry}, nn::Rotation::gradient);
   for (Index i = 0; i < 256; ++i) {
     const double* q = s.quats.value().data() + 4 * i;
     const double n[3] = {2 * (q[1] * q[3] + q[0] * q[2]), 2 * (q[2] * q[3] - q[0] * q[1]),

@@ -164,7 +164,7 @@ BasicVar<double> smooth_objective(const nn::BasicModel<double>& model,
 TEST_CASE("whole-model gradient in double") {
   Rng rng(5);
   nn::ModelConfig config = nn::model_preset("tiny");
-  config.confidence = "raw";  // the others reach the heads without a gradient
+  config.confidence = nn::Confidence::raw;  // the others reach the heads without a gradient
   const auto model = awake(config, rng);
   const auto scene = hill(16);
   const auto heights_only = [&] { return smooth_objective(model, scene); };
@@ -197,13 +197,13 @@ TEST_CASE("gradients of fusion and guidance reach the last stage's parameters in
   for (const std::string start : {"paper", "gated", "additive", "naive", "guidance"}) {
     CAPTURE(start);
     nn::ModelConfig config = nn::model_preset("tiny_full");
-    config.confidence = "raw";  // the others reach the heads without a gradient
+    config.confidence = nn::Confidence::raw;  // the others reach the heads without a gradient
     if (start == "guidance" || start == "naive")
-      config.fusion = start == "naive" ? "naive" : "none";
+      config.fusion = start == "naive" ? nn::Fusion::naive : nn::Fusion::none;
     else
-      config.fusion_start = start;
+      config.fusion_start = enum_from<nn::FusionStart>(start, "test");
     // Guidance reads heights without a gradient: that path is cut by design.
-    if (start != "guidance") config.guidance = "none";
+    if (start != "guidance") config.guidance = nn::Guidance::none;
     Rng rng(6);
     const auto model = awake(config, rng);
     const auto scene = hill(32);
@@ -243,7 +243,7 @@ TEST_CASE("fusion and guidance start as identities in the default configuration"
   const NoGrad no_grad;
   // The same seed gives parameters of the same name the same values.
   nn::ModelConfig with = nn::model_preset("tiny_full"), without = with;
-  without.fusion = without.guidance = "none";
+  without.fusion = nn::Fusion::none, without.guidance = nn::Guidance::none;
   // The heads' last layers start at zero: awake, they show what guidance gives them.
   const auto stages_of = [&](const nn::ModelConfig& config, bool wakes_guidance = false) {
     nn::BasicModel<double> model(config, 1);
@@ -268,19 +268,19 @@ TEST_CASE("fusion and guidance start as identities in the default configuration"
         for (Index i = 0; i < u.count(); ++i) worst = std::max(worst, std::abs(u[i] - v[i]));
     return worst;
   };
-  CHECK(nn::ModelConfig{}.fusion == "cmmf");
-  CHECK(nn::ModelConfig{}.fusion_start == "additive");
-  CHECK(nn::ModelConfig{}.guidance == "csrg");
+  CHECK(nn::ModelConfig{}.fusion == nn::Fusion::cmmf);
+  CHECK(nn::ModelConfig{}.fusion_start == nn::FusionStart::additive);
+  CHECK(nn::ModelConfig{}.guidance == nn::Guidance::csrg);
   auto guided = without;
-  guided.guidance = "csrg";
+  guided.guidance = nn::Guidance::csrg;
   CHECK(difference(guided, without) == 0);
   CHECK(difference(guided, without, true) > 1e-3);  // it would show
   CHECK(difference(with, without) < 1e-9);
   auto gated = with;
-  gated.fusion_start = "gated";
+  gated.fusion_start = nn::FusionStart::gated;
   CHECK(difference(gated, without) < 0.2);  // m: features 3 % smaller change heights by little
   auto paper = with;
-  paper.fusion_start = "paper";
+  paper.fusion_start = nn::FusionStart::paper;
   CHECK(difference(paper, without) > 0.2);
 }
 
@@ -312,37 +312,34 @@ TEST_CASE("a confidence that knows what the stages before missed") {
   const NoGrad no_grad;
   nn::ModelConfig config = nn::model_preset("tiny");
   const auto stages = nn::BasicModel<double>(config, 1).forward(scene);
-  BasicTensor<double> in_band;
+  BasicTensor<double> in_search;
   for (std::size_t s = 0; s < 3; ++s) {
     CAPTURE(s);
     const auto& stage = stages[s];
-    const auto near = [&](double reach) {
-      return nn::probability_within(stage.probability.value(), stage.hypotheses,
-                                    stage.height.value(), stage.interval, reach);
-    };
+    const auto near = [&](double reach) { return nn::probability_within(stage, reach); };
     const BasicTensor<double> own = near(stage.interval);
     const Index side = 32 / stage.stride;
     const auto before = s == 0 ? BasicTensor<double>()
-                               : resize_bilinear(BasicVar<double>(in_band), side, side).value();
-    REQUIRE(stage.within.shape() == own.shape());
+                               : resize_bilinear(BasicVar<double>(in_search), side, side).value();
+    REQUIRE(stage.joint_confidence.shape() == own.shape());
     for (Index i = 0; i < own.count(); ++i) {
-      REQUIRE(stage.within[i] == doctest::Approx(s == 0 ? own[i] : own[i] * before[i]));
-      REQUIRE(stage.within[i] > 0);
-      REQUIRE(stage.within[i] <= 1);
-      REQUIRE(nn::effective_confidence(config, stage)[i] == stage.within[i]);
+      REQUIRE(stage.joint_confidence[i] == doctest::Approx(s == 0 ? own[i] : own[i] * before[i]));
+      REQUIRE(stage.joint_confidence[i] > 0);
+      REQUIRE(stage.joint_confidence[i] <= 1);
+      REQUIRE(nn::effective_confidence(config, stage)[i] == stage.joint_confidence[i]);
     }
     if (s == 2) break;
     // stage 2 searches 8 hypotheses of its own interval, stage 3 has 4
     const double half = s == 0 ? 4 * stages[1].interval : 2 * stages[2].interval;
-    in_band = near(half);
+    in_search = near(half);
     if (s > 0)
-      for (Index i = 0; i < in_band.count(); ++i) in_band[i] *= before[i];
+      for (Index i = 0; i < in_search.count(); ++i) in_search[i] *= before[i];
   }
-  config.confidence = "raw";
+  config.confidence = nn::Confidence::raw;
   const auto raw = nn::BasicModel<double>(config, 1).forward(scene);
-  config.confidence = "floor";
+  config.confidence = nn::Confidence::floor;
   const auto floor = nn::BasicModel<double>(config, 1).forward(scene);
-  CHECK(raw[2].within.empty());
+  CHECK(raw[2].joint_confidence.empty());
   for (Index i = 0; i < raw[2].confidence.value().count(); ++i) {
     const double c = stages[2].confidence.value()[i];
     REQUIRE(raw[2].surfels.aux.value()[i] == c);
@@ -356,10 +353,11 @@ TEST_CASE("surfel heads and guidance read the one confidence") {
   // What is read where the head's own channel, its last, is deaf, comes by way of the guidance.
   for (const bool by_guidance : {false, true}) {
     CAPTURE(by_guidance);
-    const auto surfels = [&](const char* confidence) {
+    const auto surfels = [&](nn::Confidence confidence) {
       nn::ModelConfig config = nn::model_preset("tiny_full");
-      config.mono = config.fusion = "none";  // whose confidence would change heights
-      if (!by_guidance) config.guidance = "none";
+      config.mono = nn::MonoBranch::none,
+      config.fusion = nn::Fusion::none;  // whose confidence would change heights
+      if (!by_guidance) config.guidance = nn::Guidance::none;
       config.confidence = confidence;
       Rng rng(7);
       const auto model = awake(config, rng);
@@ -372,7 +370,8 @@ TEST_CASE("surfel heads and guidance read the one confidence") {
       }
       return model.forward(scene);
     };
-    const auto raw = surfels("raw"), floor = surfels("floor"), joint = surfels("joint");
+    const auto raw = surfels(nn::Confidence::raw), floor = surfels(nn::Confidence::floor),
+               joint = surfels(nn::Confidence::joint);
     for (const auto* other : {&floor, &joint}) {
       double heights = 0, opacities = 0;
       for (Index i = 0; i < raw[2].height.value().count(); ++i) {
@@ -393,8 +392,8 @@ TEST_CASE("stages that do not search interpolate, and surfels of all stages can 
   const NoGrad no_grad;
   nn::ModelConfig config = nn::model_preset("tiny");
   config.hypotheses = {8, 0, 4};
-  config.keep = "all";
-  config.guidance = "photometric";
+  config.keep = nn::Keep::all;
+  config.guidance = nn::Guidance::photometric;
   const nn::BasicModel<double> model(config, 1);
   const auto stages = model.forward(scene);
   CHECK(stages[1].probability.empty());
@@ -407,7 +406,7 @@ TEST_CASE("stages that do not search interpolate, and surfels of all stages can 
   CHECK(stages[2].surfels.means.dim(0) == 3 * (8 * 8 + 16 * 16 + 32 * 32));
   // a stage's own come first
   for (Index i = 0; i < 3 * 16 * 16; ++i)
-    CHECK(stages[1].surfels.aux.value()[i] == stages[1].within[i]);
+    CHECK(stages[1].surfels.aux.value()[i] == stages[1].joint_confidence[i]);
   config.hypotheses = {0, 8, 4};
   CHECK_THROWS_AS(nn::BasicModel<double>(config, 1), ConfigError);
   for (const char* preset : {"mvsplat_like", "hisplat_like", "skysplat_like", "paper"}) {

@@ -2,6 +2,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/blocks.h"
+#include "satsurf/nn/confidence.h"
 #include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
@@ -74,15 +75,18 @@ TEST_CASE("the probability near a height") {
   const auto hypotheses = Tensor::from({1, 4, 1, 2}, {10, 10, 12, 12, 14, 14, 16, 16});
   const auto probability = Tensor::from({1, 4, 1, 2}, {0.1f, 0, 0.2f, 0, 0.4f, 0, 0.3f, 1});
   const auto height = Tensor::from({1, 1, 2}, {14, 16});
-  const auto near = [&](double reach) {
-    return nn::probability_within(probability, hypotheses, height, 2, reach);
-  };
+  nn::StageHeights<float> stage{.interval = 2,
+                                .hypotheses = hypotheses,
+                                .probability = Var(probability),
+                                .height = Var(height)};
+  const auto near = [&](double reach) { return nn::probability_within(stage, reach); };
   CHECK(near(1)[0] == doctest::Approx(0.4));
   CHECK(near(2)[0] == doctest::Approx(0.4 + 0.5 * (0.2 + 0.3)));  // half of both neighbours
   CHECK(near(3)[0] == doctest::Approx(0.9));
   CHECK(near(100)[0] == doctest::Approx(1));
   CHECK(near(1)[1] == 1);
-  CHECK_THROWS_AS(nn::probability_within(probability, hypotheses, probability, 2, 1), ShapeError);
+  stage.height = Var(probability);
+  CHECK_THROWS_AS(nn::probability_within(stage, 1), ShapeError);
 
   // a slow one, over several maps and threads
   Rng rng(3);
@@ -92,7 +96,11 @@ TEST_CASE("the probability near a height") {
   for (Index i = 0; i < h.count(); ++i) h[i] = -2.0 + static_cast<double>(i / (71 * 67) % 5);
   for (const int threads : {1, 2}) {
     set_threads(threads);
-    const auto out = nn::probability_within(p, h, z, 1, 1.25);
+    const auto out = nn::probability_within<double>({.interval = 1,
+                                                     .hypotheses = h,
+                                                     .probability = BasicVar<double>(p),
+                                                     .height = BasicVar<double>(z)},
+                                                    1.25);
     for (Index i = 0; i < z.count(); ++i) {
       double sum = 0;
       for (Index d = 0; d < 5; ++d) {
@@ -165,12 +173,15 @@ TEST_CASE("blocks keep, halve and double sizes") {
 }
 
 TEST_CASE("hypotheses") {
-  const auto uniform = nn::uniform_hypotheses<double>(-5, 9, 2, 8, 3, 4);
+  const auto uniform =
+      nn::uniform_hypotheses<double>({.views = 2, .height = 3, .width = 4, .hypotheses = 8}, -5, 9);
   CHECK(uniform[0] == -5);
   CHECK(uniform[7 * 12] == 9);
   CHECK(uniform[12] - uniform[0] == doctest::Approx(2));
   const auto centre = BasicTensor<double>::from({1, 1, 3}, {0.0, -4.9, 8.9});
-  const auto narrow = nn::narrowed_hypotheses(centre, 0.5, 4, -5.0, 9.0);
+  const nn::StageGrid grid{.views = 1, .height = 1, .width = 3, .hypotheses = 4, .interval = 0.5};
+  const auto narrow = nn::narrowed_hypotheses(grid, centre, -5.0, 9.0);
+  CHECK_THROWS_AS(nn::narrowed_hypotheses(grid, uniform, -5.0, 9.0), ShapeError);
   for (Index i = 0; i < 3; ++i) {
     for (Index d = 0; d < 3; ++d)
       CHECK(narrow[(d + 1) * 3 + i] - narrow[d * 3 + i] == doctest::Approx(0.5));
@@ -194,7 +205,8 @@ TEST_CASE("surfels of pixels: gradients and meaning") {
     CAPTURE(static_cast<int>(rotation));
     CHECK(gradcheck(
         [&](const DoubleVars& v) {
-          const auto s = nn::surfels_from_maps(v[0], v[1], image, v[2], geometry, rotation);
+          const auto s =
+              nn::surfels_from_maps<double>({v[0], v[1], image, v[2]}, geometry, rotation);
           std::vector<BasicVar<double>> all{s.means, s.scales, reshape(s.opacity, Shape{8, 1}),
                                             s.colours, s.aux};
           // surfels along the surface turn with the heights, by design without a gradient
@@ -204,13 +216,15 @@ TEST_CASE("surfels of pixels: gradients and meaning") {
         {raw, height, conf}));
   }
   const BasicVar<double> heights(height, true);
-  mean(nn::surfels_from_maps(BasicVar<double>(raw), heights, image, BasicVar<double>(conf),
-                             geometry, nn::Rotation::gradient)
-           .quats)
+  mean(
+      nn::surfels_from_maps<double>({BasicVar<double>(raw), heights, image, BasicVar<double>(conf)},
+                                    geometry, nn::Rotation::gradient)
+          .quats)
       .backward();
   for (const double g : heights.grad().values()) CHECK(g == 0);
-  const auto s = nn::surfels_from_maps(BasicVar<double>(raw), BasicVar<double>(height), image,
-                                       BasicVar<double>(conf), geometry, nn::Rotation::residual);
+  const auto s = nn::surfels_from_maps<double>(
+      {BasicVar<double>(raw), BasicVar<double>(height), image, BasicVar<double>(conf)}, geometry,
+      nn::Rotation::residual);
   for (Index i = 0; i < 8; ++i) {  // a surfel's centre projects onto its own pixel
     const double* m = s.means.value().data() + 3 * i;
     const auto p = rescale_pixels(scene.sources[static_cast<std::size_t>(i / 4)].pixel_from_local,

@@ -16,8 +16,8 @@ namespace {
 
 /// All three outputs as one number.
 BasicVar<double> objective(const nn::MonoOutput<double>& out) {
-  return mean(out.height * out.height) + mean(out.tap_half * out.tap_half) +
-         affine(mean(out.tap_full), 3.0, 0.0);
+  return mean(out.height * out.height) + mean(out.features_half * out.features_half) +
+         affine(mean(out.features_full), 3.0, 0.0);
 }
 
 }  // namespace
@@ -31,11 +31,11 @@ TEST_CASE("the monocular network has the promised shapes, for any base") {
     CHECK(mono.net().half_channels() == 2 * base);
     const auto out = mono(Var(normal({2, 3, 64, 32}, 4).cast<float>()));
     CHECK(out.height.shape() == Shape{2, 64, 32});
-    CHECK(out.tap_half.shape() == Shape{2, 2 * base, 32, 16});
-    CHECK(out.tap_full.shape() == Shape{2, base, 64, 32});
+    CHECK(out.features_half.shape() == Shape{2, 2 * base, 32, 16});
+    CHECK(out.features_full.shape() == Shape{2, base, 64, 32});
     for (const float v : out.height.value().values()) REQUIRE(std::isfinite(v));
-    for (const float v : out.tap_full.value().values()) REQUIRE(v >= 0);  // behind the ReLU
-    for (const float v : out.tap_half.value().values()) REQUIRE(v >= 0);
+    for (const float v : out.features_full.value().values()) REQUIRE(v >= 0);  // behind the ReLU
+    for (const float v : out.features_half.value().values()) REQUIRE(v >= 0);
   }
 }
 
@@ -105,7 +105,7 @@ TEST_CASE("the monocular network gives the same bits for any number of threads")
     set_threads(n);
     nn::Mono mono({.base = 5}, 3);
     const auto out = mono(Var(normal({2, 3, 64, 96}, 4).cast<float>()));
-    (mean(out.height * out.height) + mean(out.tap_half)).backward();
+    (mean(out.height * out.height) + mean(out.features_half)).backward();
     for (const auto& e : mono.parameters().entries())
       if (!e.var.grad().empty())
         bits[n - 1].insert(bits[n - 1].end(), e.var.grad().values().begin(),

@@ -194,9 +194,9 @@ TEST_CASE("correlation learns from doubtful pixels") {
     for (float& z : stage.mono_height.values()) z = factor * z + offset;
   };
   const auto confident = [&](float left, float right) {
-    stage.within = Tensor(stage.height.shape());
-    for (Index i = 0; i < stage.within.count(); ++i)
-      stage.within[i] = i % kSide < kSide / 2 ? left : right;
+    stage.joint_confidence = Tensor(stage.height.shape());
+    for (Index i = 0; i < stage.joint_confidence.count(); ++i)
+      stage.joint_confidence[i] = i % kSide < kSide / 2 ? left : right;
   };
   LossConfig routed = silent();
   routed.geo_weight = 1;

@@ -174,7 +174,7 @@ TEST_CASE("settings without effect are told") {
   config.mono_weights = "m.safetensors";
   CHECK(idle_settings(config) ==
         std::vector<std::string>{"mono_weights is not read: the network has no monocular branch"});
-  config.model.mono = "own";
+  config.model.mono = nn::MonoBranch::own;
   config.geo_target = "mono";
   CHECK(idle_settings(config).empty());
 }

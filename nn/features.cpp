@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/nn/features.h"
+
+#include "satsurf/ops/concat.h"
+
+#include <span>
+#include <utility>
+#include <vector>
+
+namespace satsurf::nn {
+namespace {
+
+/// One tensor [N ...] of one plane stack of every view.
+template <class T>
+BasicTensor<T> stacked(const std::vector<PosedImage>& views, const Tensor PosedImage::*member) {
+  const Shape& one = (views[0].*member).shape();
+  std::vector<Index> extents{static_cast<Index>(views.size())};
+  extents.insert(extents.end(), one.extents().begin(), one.extents().end());
+  auto out = BasicTensor<T>::uninitialised(Shape(std::span<const Index>(extents)));
+  for (std::size_t n = 0; n < views.size(); ++n)
+    for (Index i = 0; i < one.count(); ++i)
+      out[static_cast<Index>(n) * one.count() + i] = static_cast<T>((views[n].*member)[i]);
+  return out;
+}
+
+}  // namespace
+
+template <class T>
+FeatureExtractor<T>::FeatureExtractor(ParameterSet<T>& p, const ModelConfig& config)
+    : fuses_(config.fusion != Fusion::none), fpn_(p, config.base) {
+  if (config.mono != MonoBranch::none) mono_.emplace(p, "mono", config.mono_net);
+}
+
+template <class T>
+Index FeatureExtractor<T>::mono_channels(std::size_t stage) const {
+  if (!mono_ || stage == 0) return 0;
+  return stage == 1 ? mono_->half_channels() : mono_->full_channels();
+}
+
+template <class T>
+FeatureMaps<T> FeatureExtractor<T>::operator()(const NetworkInput& scene,
+                                               const std::function<void()>& poll) const {
+  using Maps = std::vector<BasicVar<T>>;  // of one view each
+  std::array<Maps, 3> fpn, mono;
+  Maps mono_height;
+  for (const PosedImage& view : scene.sources) {
+    if (poll) poll();
+    const BasicVar<T> image(standardised<T>(view));
+    const auto levels = fpn_(image);
+    for (std::size_t s = 0; s < 3; ++s) fpn[s].push_back(levels[s]);
+    if (!mono_) continue;
+    if (poll) poll();
+    const NoGrad no_grad;
+    const MonoOutput<T> alone = (*mono_)(image);
+    mono_height.push_back(alone.height);
+    if (!fuses_) continue;
+    mono[1].push_back(alone.features_half);
+    mono[2].push_back(alone.features_full);
+  }
+  const auto joined = [](Maps& maps) {
+    return maps.empty() ? BasicVar<T>() : concat(std::exchange(maps, {}), 0);
+  };
+  FeatureMaps<T> out;
+  if (mono_) out.mono_height = joined(mono_height).value();
+  for (std::size_t s = 0; s < 3; ++s) {
+    out.fpn[s] = joined(fpn[s]);
+    out.mono[s] = joined(mono[s]);
+  }
+  out.images = stacked<T>(scene.sources, &PosedImage::rgb);
+  out.validity = stacked<T>(scene.sources, &PosedImage::valid);
+  return out;
+}
+
+template class FeatureExtractor<float>;
+template class FeatureExtractor<double>;
+
+}  // namespace satsurf::nn

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/nn/search.h"
+
+#include "satsurf/nn/confidence.h"
+#include "satsurf/ops/concat.h"
+#include "satsurf/ops/cost_volume.h"
+#include "satsurf/ops/resize.h"
+#include "satsurf/ops/softmax.h"
+
+#include <utility>
+#include <vector>
+
+namespace satsurf::nn {
+namespace {
+
+/// The heights of the stage before at this stage's size.
+template <class T>
+StageHeights<T> interpolated(const StageHeights<T>& previous, const StageGrid& grid) {
+  StageHeights<T> out;
+  out.interval = grid.interval;
+  out.height = resize_bilinear(previous.height, grid.height, grid.width);
+  out.confidence = resize_bilinear(previous.confidence, grid.height, grid.width);
+  out.choices = previous.choices;
+  if (previous.joint_confidence.empty()) return out;
+  const NoGrad no_grad;
+  out.joint_confidence =
+      resize_bilinear(BasicVar<T>(previous.joint_confidence), grid.height, grid.width).value();
+  return out;
+}
+
+}  // namespace
+
+template <class T>
+HeightSearch<T>::HeightSearch(ParameterSet<T>& p, const std::string& name,
+                              const ModelConfig& config, std::size_t stage, Index channels)
+    : variance_includes_reference_(config.variance_includes_reference),
+      joint_(config.confidence == Confidence::joint) {
+  if (config.hypotheses[stage] == 0) return;
+  cost_.emplace(p, name,
+                CostNetOptions{.channels = channels,
+                               .base = config.volume_base,
+                               .levels = config.volume_levels,
+                               .context = config.context});
+}
+
+template <class T>
+BasicVar<T> HeightSearch<T>::logits(const NetworkInput& scene, const StageGrid& grid,
+                                    const SearchInput<T>& in,
+                                    const std::function<void()>& poll) const {
+  const double stride = static_cast<double>(grid.stride);
+  std::vector<BasicVar<T>> of_views;
+  for (Index i = 0; i < grid.views; ++i) {
+    if (poll) poll();
+    std::vector<Quadratic> maps;
+    for (const Quadratic& q : scene.transfer[static_cast<std::size_t>(i)])
+      maps.push_back(rescale_pixels(q, stride, stride));
+    of_views.push_back((*cost_)(plane_sweep_variance(in.features, i, maps, in.hypotheses.slice0(i),
+                                                     in.validity, variance_includes_reference_),
+                                slice(in.features, 0, i, i + 1), poll));
+  }
+  return concat(std::exchange(of_views, {}), 0);
+}
+
+template <class T>
+SearchOutput<T> HeightSearch<T>::operator()(const NetworkInput& scene, const StageGrid& grid,
+                                            const SearchInput<T>& in,
+                                            const std::function<void()>& poll) const {
+  if (!cost_) return {interpolated(*in.previous, grid), in.in_search};
+  const BasicVar<T> all = logits(scene, grid, in, poll);
+  const auto distribution = height_distribution(all, in.hypotheses);
+  StageHeights<T> heights;
+  heights.interval = grid.interval;
+  heights.hypotheses = in.hypotheses;
+  heights.probability = distribution.probability;
+  heights.height = distribution.height;
+  heights.confidence = distribution.confidence;
+  heights.choices = grid.hypotheses;
+  if (!joint_) return {heights, {}};
+  JointProbability<T> joint = joint_probability(heights, grid.next_reach, in.in_search);
+  heights.joint_confidence = joint.confidence;
+  return {heights, joint.in_next_search};
+}
+
+template class HeightSearch<float>;
+template class HeightSearch<double>;
+
+}  // namespace satsurf::nn

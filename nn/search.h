@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/nn/config.h"
+#include "satsurf/nn/cost_net.h"
+#include "satsurf/nn/input.h"
+#include "satsurf/nn/stage.h"
+
+#include <functional>
+#include <optional>
+#include <string>
+
+namespace satsurf::nn {
+
+/// What a stage searches with.
+template <class T>
+struct SearchInput {
+  BasicVar<T> features;       ///< [N C h w] F_s, of the FPN or fused
+  BasicTensor<T> validity;    ///< [N h w] share of a view's data behind each pixel
+  BasicTensor<T> hypotheses;  ///< [N D h w] m; empty where the stage does not search
+  const StageHeights<T>* previous = nullptr;  ///< the stage before, none for the first
+  BasicTensor<T> in_search;                   ///< [N h' w'] of JointProbability, from before
+};
+
+/// What it finds.
+template <class T>
+struct SearchOutput {
+  StageHeights<T> heights;
+  BasicTensor<T> in_next_search;  ///< [N h w] of JointProbability; empty if nobody reads it
+};
+
+/// The search of one stage. Every view in turn is the reference of a variance volume, which a 3D
+/// U-Net turns into logits; these give the distribution of heights, their mean H_s and the
+/// confidence C_s. A stage without hypotheses takes heights and confidence of the one before,
+/// bilinear.
+template <class T>
+class HeightSearch {
+ public:
+  /// stage     counts from 0
+  /// channels  C of the features
+  HeightSearch(ParameterSet<T>& p, const std::string& name, const ModelConfig& config,
+               std::size_t stage, Index channels);
+  /// scene   its pixel transfers
+  /// grid    of the stage
+  /// poll    called between layers, may throw to stop
+  /// throws  ShapeError
+  SearchOutput<T> operator()(const NetworkInput& scene, const StageGrid& grid,
+                             const SearchInput<T>& in, const std::function<void()>& poll) const;
+
+ private:
+  BasicVar<T> logits(const NetworkInput& scene, const StageGrid& grid, const SearchInput<T>& in,
+                     const std::function<void()>& poll) const;
+
+  bool variance_includes_reference_, joint_;
+  std::optional<CostNet<T>> cost_;
+};
+
+}  // namespace satsurf::nn
