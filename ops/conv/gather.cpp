@@ -32,7 +32,7 @@ std::vector<PhaseTaps> list_phases(const Axes& axes, const std::array<Index, 3>&
           for (const AxisTap& j : y.taps)
             for (const AxisTap& k : x.taps)
               taps.push_back((i.tap * kernel[1] + j.tap) * kernel[2] + k.tap);
-        const Index count = static_cast<Index>(taps.size());
+        const Index count = std::ssize(taps);
         list.push_back({&z, &y, &x, &y - axes[1].phases.data(), &x - axes[2].phases.data(),
                         std::move(taps), before});
         before += count;
@@ -136,8 +136,7 @@ class Gather {
     const Index planes = axes_[0].span();
     const Pieces pieces(B_, axes_, rows_in_cache<T>(axes_, C_, planes), kPieces);
     // of each piece's outputs, added up in the pieces' order
-    std::vector<Moments> parts(moments == nullptr ? 0
-                                                  : static_cast<std::size_t>(pieces.count() * O_));
+    std::vector<Moments> parts(moments == nullptr ? 0 : pieces.count() * O_);
     for_each_index(pieces.count(), [&](Index i) {
       const Piece piece = pieces[i];
       Slab<T> slab(kernels_, axes_, in, B_ * C_, C_, piece.rows, planes);
@@ -146,11 +145,9 @@ class Gather {
                 {bias, out, accumulate, parts.empty() ? nullptr : parts.data() + i * O_});
     });
     if (moments == nullptr) return;
-    moments->assign(static_cast<std::size_t>(B_ * O_), {});
+    moments->assign(B_ * O_, {});
     for (Index i = 0; i < pieces.count(); ++i)
-      for (Index o = 0; o < O_; ++o)
-        (*moments)[static_cast<std::size_t>(pieces[i].b * O_ + o)].merge(
-            parts[static_cast<std::size_t>(i * O_ + o)]);
+      for (Index o = 0; o < O_; ++o) (*moments)[pieces[i].b * O_ + o].merge(parts[i * O_ + o]);
   }
 
  private:
@@ -167,7 +164,7 @@ class Gather {
 
   void pack_channel(Index block, Index c, const T* weight, Index o_stride, T* packed) const {
     for (const PhaseTaps& phase : phases_) {
-      const Index taps = static_cast<Index>(phase.taps.size());
+      const Index taps = std::ssize(phase.taps);
       T* dst = packed + ((block * K_ + phase.before) * C_ + c * taps) * block_;
       for (const Index t : phase.taps)
         for (Index o = block * block_; o < (block + 1) * block_; ++o)
@@ -177,19 +174,17 @@ class Gather {
 
   /// Phases that fill the same output rows and are stored together: those that differ in the
   /// column only, or all mixes of the rows.
-  Index together() const {
-    return static_cast<Index>((axes_[1].mixed ? axes_[1] : axes_[2]).phases.size());
-  }
+  Index together() const { return std::ssize((axes_[1].mixed ? axes_[1] : axes_[2]).phases); }
 
   void run_piece(const Piece& piece, Slab<T>& slab, const T* packed, const Result<T>& to) const {
-    const Index depth_phases = static_cast<Index>(axes_[0].phases.size());
+    const Index depth_phases = std::ssize(axes_[0].phases);
     const Index width = ceil_div(piece.rows * slab.pitch(), kernels_.lanes) * kernels_.lanes;
     auto lines =
         BasicTensor<T>::uninitialised({together(), kConvBlock, route_ == Route::lines ? width : 0});
-    std::vector<Index> shifts(static_cast<std::size_t>(K_));
+    std::vector<Index> shifts(K_);
     for (Index m = piece.z; m < piece.z_end; ++m) {
       slab.load(m * axes_[0].reads, m * axes_[0].reads + axes_[0].span());
-      for (std::size_t f = 0; f < phases_.size(); f += static_cast<std::size_t>(together())) {
+      for (std::size_t f = 0; f < phases_.size(); f += together()) {
         const PhaseTaps* phase = &phases_[f];
         const Index rows = std::min(piece.rows, phase->y->count - piece.row);
         if (m >= phase->z->count || rows <= 0) continue;
@@ -215,7 +210,7 @@ class Gather {
           }
           for (Index i = 0; i < together(); ++i) {
             const Index count = (rows - 1) * slab.pitch() + phase[i].x->count;
-            gather.taps = static_cast<Index>(phase[i].taps.size());
+            gather.taps = std::ssize(phase[i].taps);
             gather.weight = packed + (o * K_ + phase[i].before * kConvBlock) * C_;
             gather.out = lines.data() + i * kConvBlock * width;
             kernels_.gather(gather, count);
@@ -238,7 +233,7 @@ class Gather {
   void expect_stores(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
                      Index outputs, const T* out) const {
     const Index H = out_size_[1], W = out_size_[2], group = axes_[1].mixed ? winograd::kOutputs : 1;
-    const Index step = axes_[1].mixed ? 1 : static_cast<Index>(axes_[1].phases.size());
+    const Index step = axes_[1].mixed ? 1 : std::ssize(axes_[1].phases);
     const Index first = (axes_[1].mixed ? 0 : phase.first_row) + piece.row * group * step;
     const Index last = std::min(H, first + rows * group * step);
     for (Index i = o; i < o + outputs; ++i) {
@@ -278,7 +273,7 @@ class Gather {
   void store(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
              Index outputs, Index pitch, const BasicTensor<T>& lines, const Result<T>& to) const {
     const Index H = out_size_[1], W = out_size_[2];
-    const Index row_phases = axes_[1].mixed ? 1 : static_cast<Index>(axes_[1].phases.size());
+    const Index row_phases = axes_[1].mixed ? 1 : std::ssize(axes_[1].phases);
     const Index width = lines.dim(2), phase_stride = kConvBlock * width;
     for (Index i = 0; i < outputs; ++i) {
       T* plane = to.out + ((piece.b * O_ + o + i) * out_size_[0] + z) * H * W;
@@ -310,8 +305,7 @@ class Gather {
   void add_moments(const T* x, Index n, Moments& moments) const {
     double sums[2];
     kernels_.rows.sums(n, x, x[0], sums);
-    moments.merge(
-        Moments::about(static_cast<double>(x[0]), static_cast<double>(n), sums[0], sums[1]));
+    moments.merge(Moments::about(x[0], static_cast<double>(n), sums[0], sums[1]));
   }
 
   static constexpr Index kMostLanes = 64 / static_cast<Index>(sizeof(T));

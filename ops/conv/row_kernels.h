@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/ops/normalised.h"
 #include "satsurf/ops/pointwise_kernels.h"
 
@@ -39,19 +40,9 @@ struct ConvRowKernels {
   /// dst[p] = the adjoint of A applied to the four rows src[.][p], 0 <= p < n; zero behind, up to
   /// count
   void (*mix_gradient)(const T* const* src, Index n, T* dst, Index mix_stride, Index count);
-};
 
-namespace isa_baseline {
-template <class T>
-ConvRowKernels<T> conv_row_kernels();
-}
-namespace isa_avx2 {
-template <class T>
-ConvRowKernels<T> conv_row_kernels();
-}
-namespace isa_avx512 {
-template <class T>
-ConvRowKernels<T> conv_row_kernels();
-}
+  template <Isa isa>
+  static ConvRowKernels compiled_for();
+};
 
 }  // namespace satsurf

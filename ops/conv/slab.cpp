@@ -85,8 +85,7 @@ Axes with_mixed_rows(Axes axes, Index B) {
   const Index groups = ceil_div(row.most, kOutputs);
   if (groups * kMixes >= row.most * kTaps) return axes;
   if (B * axes[0].most * row.most * column.most < kFewOutputs) return axes;
-  for (const AxisTap& t : row.phases[0].taps)
-    row.kernel_order[static_cast<std::size_t>(t.shift)] = t.tap;
+  for (const AxisTap& t : row.phases[0].taps) row.kernel_order[t.shift] = t.tap;
   row.mixed = true;
   row.reads = kMixes;
   row.most = groups;
@@ -232,14 +231,14 @@ void Slab<T>::load_mixed_rows(const T* src, const T* next, Index channel, T* dst
     std::array<const T*, kMixes> rows;
     for (Index k = 0; k < kMixes; ++k) {
       const Index y = (row_ + i) * kOutputs + k - row.left;
-      const T*& at = rows[static_cast<std::size_t>(k)];
+      const T*& at = rows[k];
       if (src == nullptr || y < 0 || y >= row.size) {
         at = zeros_.data();
       } else if (y <= known) {
-        at = lines[static_cast<std::size_t>(y % kMixes)];
+        at = lines[y % kMixes];
       } else {
         at = rows_.read(src + y * column.size, channel, y % kMixes);
-        lines[static_cast<std::size_t>(y % kMixes)] = at;
+        lines[y % kMixes] = at;
         known = y;
       }
     }
