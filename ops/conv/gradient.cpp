@@ -35,7 +35,7 @@ class WeightGradient {
         c_block_(std::clamp<Index>(kMostColumns / (K_ * mixes_), 1, g.C)),
         c_blocks_(ceil_div(g.C, c_block_)),
         planes_per_batch_(choose_batch()),
-        ring_((planes_per_batch_ - 1) * axes_[0].reads + axes_[0].span()),
+        ring_((planes_per_batch_ - 1) * axes_[0].input_phases + axes_[0].span()),
         pieces_(g.B, axes_, rows_in_cache<T>(axes_, c_block_, ring_), ceil_div(kItems, c_blocks_)),
         stretches_(choose_stretches()),
         o_blocks_(ceil_div(g.O, kConvBlock)),
@@ -64,7 +64,7 @@ class WeightGradient {
   Index choose_batch() const {
     const Index rows = rows_in_cache<T>(axes_, c_block_, axes_[0].span());
     const Index vectors = ceil_div(rows * row_pitch(axes_[2]), kernels_.lanes);
-    return std::clamp<Index>(kBlockVectors / vectors, 1, std::max<Index>(1, axes_[0].most));
+    return std::clamp<Index>(kBlockVectors / vectors, 1, std::max<Index>(1, axes_[0].most_outputs));
   }
 
   Index choose_stretches() const {
@@ -92,10 +92,11 @@ class WeightGradient {
 
     for (Index i = first; i < last; ++i) {
       const Piece piece = pieces_[i];
-      slab.open(piece.b * g_.C + c, piece.row);
+      slab.start(piece.b * g_.C + c, piece.row);
       for (Index z = piece.z; z < piece.z_end; z += planes_per_batch_) {
         const Index planes = std::min(planes_per_batch_, piece.z_end - z);
-        slab.load(z * axes_[0].reads, (z + planes - 1) * axes_[0].reads + axes_[0].span());
+        slab.load(z * axes_[0].input_phases,
+                  (z + planes - 1) * axes_[0].input_phases + axes_[0].span());
         std::vector<std::vector<Index>> columns;
         for (const AxisPhase& phase : axes_[1].phases)
           columns.push_back(list_columns(slab, z, planes, channels, phase));

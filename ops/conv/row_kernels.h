@@ -26,7 +26,7 @@ struct ConvRowKernels {
   /// sums[0] = sum(x - shift), sums[1] = sum((x - shift)^2), as norm_sums there
   void (*sums)(Index n, const T* x, T shift, double* sums);
 
-  // The three maps of F(4, 3), see conv_winograd.h, from row to row. Mix i of what `src` points to
+  // The three maps of F(4, 3), see winograd.h, from row to row. Mix i of what `src` points to
   // or of what goes to dst stands at i * mix_stride.
 
   /// dst[left + p] = B applied to the six rows src[.][p], 0 <= p < n; zero in front and behind, up
