@@ -3,6 +3,7 @@
 
 /// Everything the engine offers. Programs that build fast include the few headers they need.
 #include "satsurf/core/atomic_file.h"
+#include "satsurf/core/block_pool.h"
 #include "satsurf/core/dims.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/fields.h"

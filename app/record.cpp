@@ -3,6 +3,7 @@
 
 #include "satsurf/app/sha256.h"
 #include "satsurf/core/atomic_file.h"
+#include "satsurf/core/block_pool.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/isa.h"

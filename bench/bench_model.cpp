@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/bench/bench.h"
+#include "satsurf/core/block_pool.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/cost_net.h"
 #include "satsurf/nn/feature_net.h"
@@ -185,8 +186,7 @@ void stage_infer(benchmark::State& state) {
       logits.push_back(cost_net(
           plane_sweep_variance(features, reference, maps, heights.slice0(reference), Tensor{})));
     }
-    const Var p = softmax_hypotheses(concat(logits, 0)), height = expected_height(p, heights),
-              confidence = max_probability(p);
+    const auto [p, height, confidence] = height_distribution(concat(logits, 0), heights);
     const Var raw =
         head(concat<float>({image, features, p, reshape(confidence, Shape{N, 1, side, side})}, 1));
     benchmark::DoNotOptimize(nn::surfels_from_maps<float>({raw, height, image.value(), confidence},

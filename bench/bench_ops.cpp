@@ -57,7 +57,6 @@ void add_pointwise_rows() {
   add_op("relu", names, shapes, unary([](const Var& x) { return relu(x); }));
   add_op("gelu", names, shapes, unary([](const Var& x) { return gelu(x); }));
   add_op("sigmoid", names, shapes, unary([](const Var& x) { return sigmoid(x); }));
-  add_op("softplus", names, shapes, unary([](const Var& x) { return softplus(x); }));
   add_op("add", names, shapes, binary([](const Var& a, const Var& b) { return add(a, b); }, 6));
   add_op("sub", names, shapes, binary([](const Var& a, const Var& b) { return sub(a, b); }, 6));
   add_op("mul", names, shapes, binary([](const Var& a, const Var& b) { return mul(a, b); }, 8));
@@ -102,10 +101,6 @@ void add_layout_rows() {
     return passes(
         {maps(s)}, [](const Vars& v) { return reshape(v[0], {v[0].count()}); }, 0, 2);
   });
-  add_op("pixels_from_map", names, {{32, 256}}, [](const benchmark::State& s) {
-    return passes(
-        {maps(s)}, [](const Vars& v) { return pixels_from_map(v[0]); }, 2, 4);
-  });
   const Shapes doubled{{3, 32, 128}, {1, 32, 256}};
   add_op("resize_nearest_x2", {"B", "C", "side"}, doubled, [=](const benchmark::State& s) {
     const Index side = 2 * s.range(2);
@@ -131,7 +126,10 @@ OpCase group_norm_case(const benchmark::State& s) {
   return passes(
       {normal({1, C, s.range(1), s.range(2), s.range(2)}), Var(Tensor({C}, 1.1F), true),
        Var(Tensor({C}, 0.1F), true)},
-      [=](const Vars& v) { return group_norm(v[0], v[1], v[2], C / 4, kActivation); }, 3, 6);
+      [=](const Vars& v) {
+        return materialise(group_normalised(v[0], v[1], v[2], C / 4, kActivation));
+      },
+      3, 6);
 }
 
 Tensor hypotheses(Index B, Index D, Index side) {
@@ -144,19 +142,6 @@ Tensor hypotheses(Index B, Index D, Index side) {
 void add_softmax_rows() {
   const std::vector<std::string> names{"B", "D", "side"};
   const Shapes shapes{{3, 64, 64}, {3, 32, 128}, {3, 8, 256}, {1, 48, 256}, {1, 64, 256}};
-  add_op("softmax_hypotheses", names, shapes, [=](const benchmark::State& s) {
-    return passes(
-        {batch(s)}, [](const Vars& v) { return softmax_hypotheses(v[0]); }, 2, 5);
-  });
-  add_op("expected_height", names, shapes, [=](const benchmark::State& s) {
-    const Tensor heights = hypotheses(s.range(0), s.range(1), s.range(2));
-    return passes(
-        {batch(s)}, [=](const Vars& v) { return expected_height(v[0], heights); }, 2, 4);
-  });
-  add_op("max_probability", names, shapes, [=](const benchmark::State& s) {
-    return passes(
-        {batch(s)}, [](const Vars& v) { return max_probability(v[0]); }, 1, 2);
-  });
   // Reads logits and heights, writes probabilities (the next stage reads them); backward reads
   // probabilities and heights and writes. Height and confidence are 1/D of a pass.
   add_op("softmax_expectation_max", names, shapes, [=](const benchmark::State& s) {

@@ -47,7 +47,7 @@ void atomic_write(const std::filesystem::path& path, std::span<const std::string
     while (!piece.empty() && code == 0) {
       const ssize_t n = ::write(fd, piece.data(), piece.size());
       if (n >= 0)
-        piece.remove_prefix(static_cast<std::size_t>(n));
+        piece.remove_prefix(n);
       else if (errno != EINTR)
         code = errno;
     }

@@ -19,20 +19,20 @@ Dims& Dims::match_shape(const char* name, const Shape& shape, const char* patter
   for (std::string word; in >> word;) letters.push_back(word);
 
   std::string expected = "[", why;
-  bool ok = static_cast<Index>(letters.size()) == shape.rank();
+  bool ok = std::ssize(letters) == shape.rank();
   for (std::size_t a = 0; a < letters.size(); ++a) {
     const std::string& l = letters[a];
     if (a > 0) expected += ' ';
     expected += l;
     if (std::isdigit(static_cast<unsigned char>(l[0])) != 0) {
-      if (ok && shape[static_cast<Index>(a)] != std::atol(l.c_str())) ok = false;
+      if (ok && shape[a] != std::atol(l.c_str())) ok = false;
     } else if (const Binding* b = find(l)) {
       if (b->from != name)
         why += (why.empty() ? " with " : ", ") + l + "=" + std::to_string(b->extent) + " from " +
                b->from;
-      if (ok && shape[static_cast<Index>(a)] != b->extent) ok = false;
+      if (ok && shape[a] != b->extent) ok = false;
     } else if (ok) {
-      bound_.push_back({l, shape[static_cast<Index>(a)], name});
+      bound_.push_back({l, shape[a], name});
     }
   }
   if (!ok)
@@ -43,7 +43,7 @@ Dims& Dims::match_shape(const char* name, const Shape& shape, const char* patter
 
 Index Dims::operator[](const char* letter) const {
   if (const Binding* b = find(letter)) return b->extent;
-  throw ShapeError(where_ + ": extent " + letter + " was never bound");
+  throw ShapeError(where_ + ": extent " + letter + ", expected one that an argument has bound");
 }
 
 }  // namespace satsurf

@@ -14,7 +14,7 @@ namespace satsurf {
 ///   dim.match("cost", cost, "D H W").match("heights", heights, "D");
 ///   dim["D"]
 /// A number in the pattern stands for itself. The failing argument is named with what came and what
-/// was wanted.
+/// was expected.
 class Dims {
  public:
   /// `where` begins the error texts: the op's name.

@@ -6,7 +6,7 @@
 namespace satsurf {
 
 /// Base of everything this library throws. The text reads
-///   where: what came, what was wanted[; hint]
+///   where: what came, expected what[; hint]
 struct Error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -16,7 +16,7 @@ struct ShapeError : Error {
   using Error::Error;
 };
 
-/// A file is missing, damaged, or not what was wanted.
+/// A file is missing, damaged, or not of the kind expected.
 struct IoError : Error {
   using Error::Error;
 };

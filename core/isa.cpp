@@ -7,9 +7,8 @@
 #include <string>
 
 namespace satsurf {
-namespace {
 
-bool supported(Isa isa) {
+bool isa_available(Isa isa) {
 #if defined(__x86_64__)
   switch (isa) {
     case Isa::avx512:
@@ -25,15 +24,17 @@ bool supported(Isa isa) {
   return isa == Isa::baseline;
 }
 
+namespace {
+
 Isa choose() {
   constexpr Isa kBestFirst[] = {Isa::avx512, Isa::avx2, Isa::baseline};
   const char* wanted = std::getenv("SATSURF_ISA");
   for (const Isa isa : kBestFirst) {
     if (wanted != nullptr && *wanted != '\0' && std::string(wanted) != isa_name(isa)) continue;
-    if (supported(isa)) return isa;
+    if (isa_available(isa)) return isa;
     if (wanted != nullptr && *wanted != '\0')
       throw ConfigError(std::string("SATSURF_ISA: ") + wanted +
-                        " is not available on this processor");
+                        ", expected a set that this processor has");
   }
   throw ConfigError(std::string("SATSURF_ISA: '") + wanted +
                     "', expected baseline, avx2 or avx512");

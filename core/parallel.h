@@ -48,10 +48,8 @@ template <class Value, class Part>
 Value ordered_reduce(Index n, Index grain, Value init, const Part& part) {
   if (n <= 0) return init;
   const Index g = grain < 1 ? 1 : grain, pieces = (n + g - 1) / g;
-  std::vector<Value> partial(static_cast<std::size_t>(pieces));
-  for_range(n, g, [&](Index begin, Index end) {
-    partial[static_cast<std::size_t>(begin / g)] = part(begin, end);
-  });
+  std::vector<Value> partial(pieces);
+  for_range(n, g, [&](Index begin, Index end) { partial[begin / g] = part(begin, end); });
   for (const Value& v : partial) init += v;
   return init;
 }

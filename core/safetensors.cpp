@@ -75,12 +75,13 @@ json Reader::read_header() {
   data_begin_ = kLengthBytes + length;
   data_bytes_ = bytes - data_begin_;
 
-  std::string text(static_cast<std::size_t>(length), '\0');
+  std::string text(length, '\0');
   in_.read(text.data(), static_cast<std::streamsize>(length));
   if (!in_) fail(std::string("the header cannot be read") + kDamaged);
-  if (!text.starts_with('{')) fail("the header does not begin with '{'; not a safetensors file?");
+  if (!text.starts_with('{'))
+    fail("the header begins otherwise, expected '{'; not a safetensors file?");
   json header = parse_json(text, path_.string() + ": header");
-  if (!header.is_object()) fail("the header is not a JSON object");
+  if (!header.is_object()) fail("the header is " + header.dump() + ", expected a JSON object");
   return header;
 }
 
@@ -103,7 +104,8 @@ Entry Reader::read_entry(const std::string& name, const json& object) const {
   const std::string what = "tensor '" + name + "'";
   if (!object.is_object()) fail(what + " is " + object.dump() + ", expected an object");
   for (const char* key : {"dtype", "shape", "data_offsets"})
-    if (!object.contains(key)) fail(what + " has no " + key);
+    if (!object.contains(key))
+      fail(what + " has no " + key + ", expected dtype, shape and data_offsets");
   for (const auto& [key, value] : object.items())
     if (key != "dtype" && key != "shape" && key != "data_offsets")
       fail(what + " has the key '" + key + "', expected dtype, shape and data_offsets");
@@ -127,7 +129,8 @@ Entry Reader::read_entry(const std::string& name, const json& object) const {
                __builtin_mul_overflow(wanted, extent, &wanted);
     extents.push_back(overflow ? 0 : static_cast<Index>(extent));
   }
-  if (overflow) fail(what + " has shape " + shape.dump() + ", which is more than any file holds");
+  if (overflow)
+    fail(what + " has shape " + shape.dump() + ", expected no more than a file can hold");
   e.shape = Shape(extents);
 
   if (!offsets.is_array() || offsets.size() != 2)
@@ -231,7 +234,7 @@ void save_safetensors(const std::filesystem::path& path, const TensorFile& file)
   try {
     text = header.dump();
   } catch (const json::exception&) {
-    throw IoError(path.string() + ": a name or the metadata is not UTF-8");
+    throw IoError(path.string() + ": a name or the metadata is something else, expected UTF-8");
   }
   text.resize((text.size() + 7) / 8 * 8, ' ');  // the data begin on a multiple of 8
   const std::uint64_t length = text.size();

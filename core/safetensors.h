@@ -18,7 +18,7 @@ struct TensorFile {
 
 /// Reads a safetensors file and trusts nothing in it: header length, JSON, types, shapes, offsets,
 /// gaps, overlaps and file size are checked before a byte is used.
-/// throws  IoError naming the file, what came and what was wanted
+/// throws  IoError naming the file, what came and what was expected
 TensorFile load_safetensors(const std::filesystem::path& path);
 
 /// Writes to a temporary name in the same folder, then renames: the old file or the new one, never

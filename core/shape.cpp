@@ -9,13 +9,13 @@ constexpr Index kMostElements = Index{1} << 59;  // the bytes of doubles stay wi
 }  // namespace
 
 Shape::Shape(std::span<const Index> extents) {
-  if (static_cast<Index>(extents.size()) > kMaxRank)
+  if (std::ssize(extents) > kMaxRank)
     throw ShapeError("Shape: rank " + std::to_string(extents.size()) + ", expected at most 5");
   Index n = 1;
   bool overflow = false;
   for (const Index e : extents) {
-    if (e < 0) throw ShapeError("Shape: negative extent " + std::to_string(e));
-    extents_[static_cast<std::size_t>(rank_++)] = e;
+    if (e < 0) throw ShapeError("Shape: extent " + std::to_string(e) + ", expected 0 or more");
+    extents_[rank_++] = e;
     overflow = overflow || __builtin_mul_overflow(n, e > 0 ? e : 1, &n) || n > kMostElements;
   }
   if (overflow) throw ShapeError("Shape: " + str() + ", expected at most 2^59 elements");
@@ -31,7 +31,7 @@ Index Shape::count(Index first, Index last) const {
 
 Shape Shape::with(Index axis, Index extent) const {
   Shape s = *this;
-  s.extents_[static_cast<std::size_t>(axis)] = extent;
+  s.extents_[axis] = extent;
   return Shape(s.extents());
 }
 

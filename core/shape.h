@@ -27,14 +27,12 @@ class Shape {
   explicit Shape(std::span<const Index> extents);
 
   Index rank() const { return rank_; }
-  Index operator[](Index axis) const { return extents_[static_cast<std::size_t>(axis)]; }
+  Index operator[](Index axis) const { return extents_[axis]; }
   /// Number of elements; 1 for a scalar.
   Index count() const;
   /// Product of the extents of axes first..last-1; 1 if empty.
   Index count(Index first, Index last) const;
-  std::span<const Index> extents() const {
-    return {extents_.data(), static_cast<std::size_t>(rank_)};
-  }
+  std::span<const Index> extents() const { return std::span(extents_.data(), rank_); }
   /// The same shape with one extent replaced.
   Shape with(Index axis, Index extent) const;
   /// `[4,3,2]`

@@ -46,8 +46,8 @@ class BasicTensor {
   const T* data() const { return buffer_.get(); }
   T& operator[](Index i) { return buffer_.get()[i]; }
   const T& operator[](Index i) const { return buffer_.get()[i]; }
-  std::span<T> values() & { return {data(), static_cast<std::size_t>(count())}; }
-  std::span<const T> values() const& { return {data(), static_cast<std::size_t>(count())}; }
+  std::span<T> values() & { return std::span(data(), count()); }
+  std::span<const T> values() const& { return std::span(data(), count()); }
   void values() && = delete;  // the elements would be gone before they are read
   /// The only element.
   /// throws  ShapeError if there are more or fewer
@@ -76,19 +76,5 @@ class BasicTensor {
 };
 
 using Tensor = BasicTensor<float>;
-
-/// Bytes in tensor buffers now.
-std::size_t tensor_bytes();
-/// The most there were at one time since the last `reset_peak_tensor_bytes()`.
-std::size_t peak_tensor_bytes();
-/// Starts `peak_tensor_bytes()` again from what there is now.
-void reset_peak_tensor_bytes();
-/// Makes the peak at least `bytes`: for who resets it in between.
-void raise_peak_tensor_bytes(std::size_t bytes);
-/// Bytes the system has ever been asked for to hold tensors of 64 KiB and more. Their buffers are
-/// kept and given out again, so this stays as it is when work is repeated.
-std::size_t reserved_tensor_bytes();
-/// Returns the buffers kept for reuse to the system.
-void release_tensor_cache();
 
 }  // namespace satsurf

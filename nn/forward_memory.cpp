@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/forward_memory.h"
 
+#include "satsurf/core/block_pool.h"
 #include "satsurf/core/parallel.h"
-#include "satsurf/core/tensor.h"
 
 #include <algorithm>
 #include <array>

@@ -85,8 +85,8 @@ class Head {
 
   const Index N_, M_, d_, e_;
   const T *query_, *key_, *value_;
-  const MatmulKernels<T>& matmul_ = SATSURF_DISPATCH(matmul_kernels<T>)();
-  const SoftmaxKernels<T> softmax_ = SATSURF_DISPATCH(softmax_kernels<T>)();
+  const MatmulKernels<T>& matmul_ = active_kernels<MatmulKernels<T>>();
+  const SoftmaxKernels<T>& softmax_ = active_kernels<SoftmaxKernels<T>>();
   BasicTensor<T> tile_;
 };
 

@@ -7,7 +7,7 @@
 
 /// What kernel sources (core/isa.h) share beyond core/simd.h: loops in whole batches with a tail,
 /// and sums that go to double.
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 
 /// body(at, lanes) for whole batches, then once for what is left over; it loads and stores through
 /// the two functions below, which touch `lanes` elements only.
@@ -74,9 +74,9 @@ class PairSum {
   void flush() {
     alignas(Batch<T>) T lanes[kLanes<T>];
     a_.store_aligned(lanes);
-    for (const T v : lanes) total_a_ += static_cast<double>(v);
+    for (const T v : lanes) total_a_ += v;
     b_.store_aligned(lanes);
-    for (const T v : lanes) total_b_ += static_cast<double>(v);
+    for (const T v : lanes) total_b_ += v;
     a_ = b_ = Batch<T>(T(0));
     batches_ = 0;
   }
@@ -85,4 +85,4 @@ class PairSum {
   int batches_ = 0;
 };
 
-}  // namespace satsurf::SATSURF_ISA_NS
+}  // namespace satsurf::SATSURF_KERNEL_ISA

@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/ops/concat.h"
 
-#include "satsurf/core/dims.h"
-#include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
-#include "satsurf/ops/layout_kernels.h"
 
 #include <algorithm>
 #include <string>
@@ -14,8 +11,8 @@ namespace {
 
 constexpr Index kGrain = 1 << 15;  // elements per piece
 
-/// Elements begin.. of axis of a larger tensor, seen as `outer` runs of `run` elements `stride`
-/// apart.
+/// Where a stretch of one axis lies in the memory of a larger tensor: `outer` runs of `run` elements,
+/// `stride` apart, the first one at element `begin`.
 struct Runs {
   Index outer, run, stride, begin;
 };
@@ -33,7 +30,8 @@ void each_run(const Runs& r, const Body& body) {
             });
 }
 
-/// Puts the gradients g of those elements, a tensor of its own, where the whole's go.
+/// Adds the stretch's gradient g, a tensor of its own, to the gradient of the whole, or stores it
+/// there with zeros around it.
 template <class T>
 void put_runs(const Runs& r, const T* g, const GradientTarget<T>& target) {
   T* d = target.data;
@@ -134,39 +132,11 @@ BasicVar<T> reshape(const BasicVar<T>& x, const Shape& shape) {
   });
 }
 
-template <class T>
-BasicVar<T> pixels_from_map(const BasicVar<T>& x) {
-  Dims dim("pixels_from_map");
-  dim.match("x", x, "N C H W");
-  const Index N = dim["N"], C = dim["C"], P = dim["H"] * dim["W"];
-  constexpr Index kPixels = 1024;  // per piece
-  auto out = BasicTensor<T>::uninitialised({N * P, C});
-  const T* px = x.value().data();
-  T* y = out.data();
-  const auto transpose = SATSURF_DISPATCH(layout_kernels<T>)().transpose;
-  for (Index i = 0; i < N; ++i)
-    for_range(P, kPixels, [&](Index begin, Index end) {
-      transpose(C, end - begin, px + i * C * P + begin, P, false, y + (i * P + begin) * C, C);
-    });
-  return BasicVar<T>::record("pixels_from_map", out, {x}, [=](Node<T>& n) {
-    const T* g = n.grad.data();
-    const GradientTarget<T> d = n.grad_out(0);
-    if (!d) return;
-    for (Index i = 0; i < N; ++i)
-      for_range(P, kPixels, [&](Index begin, Index end) {
-        transpose(end - begin, C, g + (i * P + begin) * C, C, d.accumulate,
-                  d.data + i * C * P + begin, P);
-      });
-  });
-}
-
 template BasicVar<float> concat(const std::vector<BasicVar<float>>&, Index);
 template BasicVar<double> concat(const std::vector<BasicVar<double>>&, Index);
 template BasicVar<float> slice(const BasicVar<float>&, Index, Index, Index);
 template BasicVar<double> slice(const BasicVar<double>&, Index, Index, Index);
 template BasicVar<float> reshape(const BasicVar<float>&, const Shape&);
 template BasicVar<double> reshape(const BasicVar<double>&, const Shape&);
-template BasicVar<float> pixels_from_map(const BasicVar<float>&);
-template BasicVar<double> pixels_from_map(const BasicVar<double>&);
 
 }  // namespace satsurf

@@ -33,11 +33,4 @@ BasicVar<T> slice(const BasicVar<T>& x, Index axis, Index begin, Index end);
 template <class T>
 BasicVar<T> reshape(const BasicVar<T>& x, const Shape& shape);
 
-/// One row per pixel.
-/// x        [N C H W]
-/// returns  [N*H*W C]
-/// throws   ShapeError
-template <class T>
-BasicVar<T> pixels_from_map(const BasicVar<T>& x);
-
 }  // namespace satsurf

@@ -12,8 +12,6 @@
 namespace satsurf {
 namespace {
 
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
-
 Index channel_stride(Index C) { return C <= 4 ? 4 : C <= 8 ? 8 : (C + 15) / 16 * 16; }
 
 SweepMap restrict_to_row(const Quadratic& q, Index y) {
@@ -41,13 +39,13 @@ struct Sweep {
   BasicTensor<T> heights, valid;
   T reference_counts;
 
-  Index J() const { return static_cast<Index>(sources.size()); }
+  Index J() const { return std::ssize(sources); }
   Index row() const { return W * Cs; }
 
   /// [N H W Cs]
   BasicTensor<T> channels_last(const T* features) const {
     auto out = BasicTensor<T>::uninitialised({N * H, row()});
-    const auto to_pixels = SATSURF_DISPATCH(sweep_to_pixels<T>);
+    const auto to_pixels = active_kernels<SweepKernels<T>>().to_pixels;
     for_range(N * H, 4, [&](Index begin, Index end) {
       for (Index r = begin; r < end; ++r)
         to_pixels(features + (r / H * C * H + r % H) * W, H * W, W, C, Cs, out.data() + r * row());
@@ -61,11 +59,7 @@ template <class T>
 class RowWork {
  public:
   RowWork(const Sweep<T>& sweep, const T* pixels)
-      : sweep_(sweep),
-        pixels_(pixels),
-        maps_(at(sweep.J())),
-        lines_(at(sweep.J())),
-        taps_(at(sweep.J())) {
+      : sweep_(sweep), pixels_(pixels), maps_(sweep.J()), lines_(sweep.J()), taps_(sweep.J()) {
     const Index P = sweep.H * sweep.W, Cs = sweep.Cs;
     for (const Index j : sweep.sources) {
       sources_.push_back(pixels + j * sweep.H * sweep.row());
@@ -138,14 +132,14 @@ struct Bands {
   void cut(const std::vector<std::int32_t>& range, Index H) {
     count = (H + height - 1) / height;
     rows = 0;
-    touched.assign(at(count * J), {});
+    touched.assign(count * J, {});
     for (Index b = 0; b < count; ++b)
       for (Index j = 0; j < J; ++j) {
-        Touched& t = touched[at(b * J + j)];
+        Touched& t = touched[b * J + j];
         t.first = static_cast<std::int32_t>(H);
         for (Index y = b * height; y < std::min(H, (b + 1) * height); ++y) {
-          t.first = std::min(t.first, range[at(2 * (y * J + j))]);
-          t.last = std::max(t.last, range[at(2 * (y * J + j) + 1)]);
+          t.first = std::min(t.first, range[2 * (y * J + j)]);
+          t.last = std::max(t.last, range[2 * (y * J + j) + 1]);
         }
         t.offset = rows;
         rows += t.rows();
@@ -161,13 +155,13 @@ void add_gradient(const Sweep<T>& sweep, const std::vector<std::int32_t>& range,
   const BasicTensor<T> pixels = sweep.channels_last(features);
   auto partial = BasicTensor<T>::uninitialised({bands.rows, sweep.row()});
 
-  const auto backward = SATSURF_DISPATCH(sweep_backward<T>);
+  const auto backward = active_kernels<SweepKernels<T>>().backward;
   for_each_index(bands.count, [&](Index b) {
     RowWork<T> work(sweep, pixels.data());
     std::vector<T*> d_sources;
     std::vector<std::int32_t> first;
     for (Index j = 0; j < J; ++j) {
-      const Touched& t = bands.touched[at(b * J + j)];
+      const Touched& t = bands.touched[b * J + j];
       d_sources.push_back(partial.data() + t.offset * sweep.row());
       std::fill_n(d_sources.back(), t.rows() * sweep.row(), T(0));
       first.push_back(t.first);
@@ -177,7 +171,7 @@ void add_gradient(const Sweep<T>& sweep, const std::vector<std::int32_t>& range,
                d_sources.data(), first.data());
   });
 
-  const auto add_rows = SATSURF_DISPATCH(sweep_add_rows<T>);
+  const auto add_rows = active_kernels<SweepKernels<T>>().add_rows;
   for_range(J * H, 4, [&](Index begin, Index end) {
     std::vector<const T*> rows;
     BasicTensor<T> tile({kSweepTile, sweep.Cs});
@@ -185,11 +179,11 @@ void add_gradient(const Sweep<T>& sweep, const std::vector<std::int32_t>& range,
       const Index j = r / H, y = r % H;
       rows.clear();
       for (Index b = 0; b < bands.count; ++b)
-        if (const Touched& t = bands.touched[at(b * J + j)]; y >= t.first && y <= t.last)
+        if (const Touched& t = bands.touched[b * J + j]; y >= t.first && y <= t.last)
           rows.push_back(partial.data() + (t.offset + y - t.first) * sweep.row());
       if (!rows.empty())
-        add_rows(rows.data(), static_cast<Index>(rows.size()), W, C, sweep.Cs,
-                 d_features + (sweep.sources[at(j)] * C * H + y) * W, H * W, tile.data());
+        add_rows(rows.data(), std::ssize(rows), W, C, sweep.Cs,
+                 d_features + (sweep.sources[j] * C * H + y) * W, H * W, tile.data());
     }
   });
 }
@@ -210,20 +204,20 @@ BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
   if (reference < 0 || reference >= N)
     throw ShapeError("plane_sweep_variance: reference is " + std::to_string(reference) +
                      ", expected one of " + std::to_string(N) + " views");
-  if (static_cast<Index>(maps.size()) != N)
+  if (std::ssize(maps) != N)
     throw ShapeError("plane_sweep_variance: " + std::to_string(maps.size()) +
                      " maps, expected one for each of " + std::to_string(N) + " views");
   for (Index j = 0; j < N; ++j) {
     if (j == reference) continue;
     sweep.sources.push_back(j);
-    sweep.maps.push_back(maps[at(j)]);
+    sweep.maps.push_back(maps[j]);
   }
 
   const Index J = sweep.J();
   auto out = BasicTensor<T>::uninitialised({sweep.C, sweep.D, H, W});
-  std::vector<std::int32_t> range(at(2 * J * H));  // source rows read by each reference row
+  std::vector<std::int32_t> range(2 * J * H);  // source rows read by each reference row
   const BasicTensor<T> pixels = sweep.channels_last(features.value().data());
-  const auto forward = SATSURF_DISPATCH(sweep_forward<T>);
+  const auto forward = active_kernels<SweepKernels<T>>().forward;
   for_range(H, 2, [&](Index begin, Index end) {
     RowWork<T> work(sweep, pixels.data());
     for (Index y = begin; y < end; ++y)

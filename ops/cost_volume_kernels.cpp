@@ -5,16 +5,12 @@
 
 #include <type_traits>
 
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
-// The compiler's own vectors rather than Batch: eight channels are half a batch under AVX-512.
+/// L numbers: eight channels are half a batch under AVX-512.
 template <class T, Index L>
-struct Lanes {
-  typedef T Vec __attribute__((vector_size(L * sizeof(T))));
-};
-template <class T>
-using Quad = typename Lanes<T, 4>::Vec;
+using Channels = typename Part<T, L * sizeof(T)>::Vector;
 
 template <class V, class T>
 V load(const T* p) {
@@ -31,34 +27,28 @@ void add_to(T* p, const V& v) {
   store(p, load<V>(p) + v);
 }
 
-template <class V>
-void transpose(V& a, V& b, V& c, V& d) {
-  const V ab_low = __builtin_shufflevector(a, b, 0, 4, 1, 5);
-  const V ab_high = __builtin_shufflevector(a, b, 2, 6, 3, 7);
-  const V cd_low = __builtin_shufflevector(c, d, 0, 4, 1, 5);
-  const V cd_high = __builtin_shufflevector(c, d, 2, 6, 3, 7);
-  a = __builtin_shufflevector(ab_low, cd_low, 0, 1, 4, 5);
-  b = __builtin_shufflevector(ab_low, cd_low, 2, 3, 6, 7);
-  c = __builtin_shufflevector(ab_high, cd_high, 0, 1, 4, 5);
-  d = __builtin_shufflevector(ab_high, cd_high, 2, 3, 6, 7);
-}
+/// A square of four pixels by four channels.
+template <class T>
+struct Square {
+  using Quad = Channels<T, 4>;
+  Quad rows[4];
+
+  Square(const T* from, Index stride) {
+#pragma GCC unroll 4
+    for (Index i = 0; i < 4; ++i) rows[i] = load<Quad>(from + i * stride);
+    transpose<T, sizeof(Quad)>(rows);
+  }
+};
 
 /// Planes [C n] to pixels [n Cs]; channels C.. are left alone.
 template <class T>
 void gather_pixels(const T* planes, Index stride, Index n, Index C, Index Cs, T* pixels) {
-  using Q = Quad<T>;
   const Index whole_n = n / 4 * 4, whole_C = C / 4 * 4;
   for (Index c = 0; c < whole_C; c += 4) {
-    const T* p = planes + c * stride;
     for (Index i = 0; i < whole_n; i += 4) {
-      Q q0 = load<Q>(p + i), q1 = load<Q>(p + stride + i);
-      Q q2 = load<Q>(p + 2 * stride + i), q3 = load<Q>(p + 3 * stride + i);
-      transpose(q0, q1, q2, q3);
-      T* to = pixels + i * Cs + c;
-      store<Q>(to, q0);
-      store<Q>(to + Cs, q1);
-      store<Q>(to + 2 * Cs, q2);
-      store<Q>(to + 3 * Cs, q3);
+      const Square<T> square(planes + c * stride + i, stride);
+#pragma GCC unroll 4
+      for (Index k = 0; k < 4; ++k) store(pixels + (i + k) * Cs + c, square.rows[k]);
     }
     for (Index k = c; k < c + 4; ++k)
       for (Index i = whole_n; i < n; ++i) pixels[i * Cs + k] = planes[k * stride + i];
@@ -70,7 +60,6 @@ void gather_pixels(const T* planes, Index stride, Index n, Index C, Index Cs, T*
 /// Pixels [n Cs] to planes [C n], stored or added.
 template <bool kAdd, class T>
 void scatter_pixels(const T* pixels, Index n, Index C, Index Cs, T* planes, Index stride) {
-  using Q = Quad<T>;
   const auto put = [](T* to, const auto& value) {
     using V = std::decay_t<decltype(value)>;
     if constexpr (kAdd)
@@ -80,16 +69,10 @@ void scatter_pixels(const T* pixels, Index n, Index C, Index Cs, T* planes, Inde
   };
   const Index whole_n = n / 4 * 4, whole_C = C / 4 * 4;
   for (Index c = 0; c < whole_C; c += 4) {
-    T* p = planes + c * stride;
     for (Index i = 0; i < whole_n; i += 4) {
-      const T* from = pixels + i * Cs + c;
-      Q q0 = load<Q>(from), q1 = load<Q>(from + Cs), q2 = load<Q>(from + 2 * Cs),
-        q3 = load<Q>(from + 3 * Cs);
-      transpose(q0, q1, q2, q3);
-      put(p + i, q0);
-      put(p + stride + i, q1);
-      put(p + 2 * stride + i, q2);
-      put(p + 3 * stride + i, q3);
+      const Square<T> square(pixels + i * Cs + c, Cs);
+#pragma GCC unroll 4
+      for (Index k = 0; k < 4; ++k) put(planes + (c + k) * stride + i, square.rows[k]);
     }
     for (Index k = c; k < c + 4; ++k)
       for (Index i = whole_n; i < n; ++i) put(planes + k * stride + i, pixels[i * Cs + k]);
@@ -166,7 +149,7 @@ void make_all_taps(const SweepRow<T>& s, Index begin, Index n, Index d) {
 /// time only.
 template <class T, Index L, Index kJ>
 struct Sampler {
-  using V = typename Lanes<T, L>::Vec;
+  using V = Channels<T, L>;
   const SweepRow<T>& s;
   const Index J = kJ > 0 ? kJ : s.J;
   const Index right = s.W > 1 ? s.Cs : 0, down = s.H > 1 ? s.W *s.Cs : 0;
@@ -176,9 +159,7 @@ struct Sampler {
     for (Index j = 0; j < J; ++j) n += s.taps[j].counts[i];
     return n >= 2 ? 1 / n : T(0);
   }
-  Index offset(Index j, Index i) const {
-    return (static_cast<Index>(s.taps[j].y[i]) * s.W + s.taps[j].x[i]) * s.Cs;
-  }
+  Index offset(Index j, Index i) const { return (s.taps[j].y[i] * s.W + s.taps[j].x[i]) * s.Cs; }
   V mean(Index i, Index c, const V& own, T share_of, V* f) const {
     V total = own * s.reference_counts;
     for (Index j = 0; j < J; ++j) {
@@ -194,7 +175,7 @@ struct Sampler {
 
 template <class T, Index L, Index kJ>
 void forward_tile(const SweepRow<T>& s, Index begin, Index n) {
-  using V = typename Lanes<T, L>::Vec;
+  using V = Channels<T, L>;
   const Sampler<T, L, kJ> sampler{s};
   V local[kJ > 0 ? kJ : 1];
   V* f = kJ > 0 ? local : reinterpret_cast<V*>(s.samples);
@@ -220,7 +201,7 @@ void forward_tile(const SweepRow<T>& s, Index begin, Index n) {
 template <class T, Index L, Index kJ>
 void backward_tile(const SweepRow<T>& s, Index begin, Index n, T* const* d_sources,
                    const std::int32_t* first_row) {
-  using V = typename Lanes<T, L>::Vec;
+  using V = Channels<T, L>;
   const Sampler<T, L, kJ> sampler{s};
   const Index right = sampler.right, down = sampler.down;
   V local[kJ > 0 ? kJ : 1];
@@ -268,10 +249,8 @@ void with_shape(const SweepRow<T>& s, const Body& body) {
     with_lanes<T, 0>(s.Cs, body);
 }
 
-}  // namespace
-
 template <class T>
-void sweep_forward(const SweepRow<T>& s, T* out, std::int32_t* touched) {
+void forward(const SweepRow<T>& s, T* out, std::int32_t* touched) {
   const Index P = s.H * s.W;
   for (Index j = 0; j < s.J; ++j) {
     touched[2 * j] = static_cast<std::int32_t>(s.H);
@@ -303,8 +282,8 @@ void sweep_forward(const SweepRow<T>& s, T* out, std::int32_t* touched) {
 }
 
 template <class T>
-void sweep_backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sources,
-                    const std::int32_t* first_row) {
+void backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sources,
+              const std::int32_t* first_row) {
   const Index P = s.H * s.W;
   fill_zero(s.tile, kSweepTile * s.Cs);
   for (Index begin = 0; begin < s.W; begin += kSweepTile) {
@@ -323,7 +302,7 @@ void sweep_backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* 
 }
 
 template <class T>
-void sweep_to_pixels(const T* planes, Index plane_stride, Index W, Index C, Index Cs, T* pixels) {
+void to_pixels(const T* planes, Index plane_stride, Index W, Index C, Index Cs, T* pixels) {
   if (Cs > C) fill_zero(pixels, W * Cs);
   for (Index begin = 0; begin < W; begin += kSweepTile)
     gather_pixels(planes + begin, plane_stride, W - begin < kSweepTile ? W - begin : kSweepTile, C,
@@ -331,8 +310,8 @@ void sweep_to_pixels(const T* planes, Index plane_stride, Index W, Index C, Inde
 }
 
 template <class T>
-void sweep_add_rows(const T* const* rows, Index count, Index W, Index C, Index Cs, T* planes,
-                    Index plane_stride, T* tile) {
+void add_rows(const T* const* rows, Index count, Index W, Index C, Index Cs, T* planes,
+              Index plane_stride, T* tile) {
   for (Index begin = 0; begin < W; begin += kSweepTile) {
     const Index n = W - begin < kSweepTile ? W - begin : kSweepTile;
     fill_zero(tile, n * Cs);
@@ -344,17 +323,20 @@ void sweep_add_rows(const T* const* rows, Index count, Index W, Index C, Index C
   }
 }
 
-template void sweep_forward(const SweepRow<float>&, float*, std::int32_t*);
-template void sweep_forward(const SweepRow<double>&, double*, std::int32_t*);
-template void sweep_backward(const SweepRow<float>&, const float*, float*, float* const*,
-                             const std::int32_t*);
-template void sweep_backward(const SweepRow<double>&, const double*, double*, double* const*,
-                             const std::int32_t*);
-template void sweep_to_pixels(const float*, Index, Index, Index, Index, float*);
-template void sweep_to_pixels(const double*, Index, Index, Index, Index, double*);
-template void sweep_add_rows(const float* const*, Index, Index, Index, Index, float*, Index,
-                             float*);
-template void sweep_add_rows(const double* const*, Index, Index, Index, Index, double*, Index,
-                             double*);
+}  // namespace
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf {
+
+template <class T>
+template <Isa isa>
+SweepKernels<T> SweepKernels<T>::compiled_for() {
+  return {.forward = here::forward<T>,
+          .backward = here::backward<T>,
+          .to_pixels = here::to_pixels<T>,
+          .add_rows = here::add_rows<T>};
+}
+template SweepKernels<float> SweepKernels<float>::compiled_for<kIsa>();
+template SweepKernels<double> SweepKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/shape.h"
 
 #include <cstdint>
@@ -55,52 +56,24 @@ struct SweepRow {
   T* samples;            ///< [J Cs]
 };
 
-// Declared once per instruction set, see core/isa.h:
-//   sweep_forward   writes the row of `out` [C D H W]; touched[2 j], touched[2 j + 1] become the
-//                   first and last row of source j that was read (H and -1 if none)
-//   sweep_backward  `g` is the row of the upstream gradient [C D H W]; adds to the row of
-//                   `d_reference` [C H W] and to `d_sources`[j], which hold the rows from
-//                   first_row[j] on, channels-last
-//   sweep_to_pixels [C W] with plane_stride between channels to [W Cs]; padding channels become 0
-//   sweep_add_rows  adds the sum of `count` channels-last rows, in order, to [C W]; `tile` as above
+/// The loops of cost_volume.cpp for one instruction set.
+template <class T>
+struct SweepKernels {
+  /// Writes the row of `out` [C D H W]; touched[2 j], touched[2 j + 1] become the first and last row
+  /// of source j that was read (H and -1 if none).
+  void (*forward)(const SweepRow<T>& s, T* out, std::int32_t* touched);
+  /// Adds to the row of `d_reference` [C H W] and to `d_sources`[j], which hold the rows from
+  /// first_row[j] on, channels-last; `g` is the row of the upstream gradient [C D H W].
+  void (*backward)(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sources,
+                   const std::int32_t* first_row);
+  /// [C W] with plane_stride between channels to [W Cs]; the channels from C on become 0.
+  void (*to_pixels)(const T* planes, Index plane_stride, Index W, Index C, Index Cs, T* pixels);
+  /// Adds the sum of `count` channels-last rows, in order, to [C W]; `tile` as in SweepRow.
+  void (*add_rows)(const T* const* rows, Index count, Index W, Index C, Index Cs, T* planes,
+                   Index plane_stride, T* tile);
 
-namespace isa_baseline {
-template <class T>
-void sweep_forward(const SweepRow<T>& s, T* out, std::int32_t* touched);
-template <class T>
-void sweep_backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sources,
-                    const std::int32_t* first_row);
-template <class T>
-void sweep_to_pixels(const T* planes, Index plane_stride, Index W, Index C, Index Cs, T* pixels);
-template <class T>
-void sweep_add_rows(const T* const* rows, Index count, Index W, Index C, Index Cs, T* planes,
-                    Index plane_stride, T* tile);
-}  // namespace isa_baseline
-
-namespace isa_avx2 {
-template <class T>
-void sweep_forward(const SweepRow<T>& s, T* out, std::int32_t* touched);
-template <class T>
-void sweep_backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sources,
-                    const std::int32_t* first_row);
-template <class T>
-void sweep_to_pixels(const T* planes, Index plane_stride, Index W, Index C, Index Cs, T* pixels);
-template <class T>
-void sweep_add_rows(const T* const* rows, Index count, Index W, Index C, Index Cs, T* planes,
-                    Index plane_stride, T* tile);
-}  // namespace isa_avx2
-
-namespace isa_avx512 {
-template <class T>
-void sweep_forward(const SweepRow<T>& s, T* out, std::int32_t* touched);
-template <class T>
-void sweep_backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sources,
-                    const std::int32_t* first_row);
-template <class T>
-void sweep_to_pixels(const T* planes, Index plane_stride, Index W, Index C, Index Cs, T* pixels);
-template <class T>
-void sweep_add_rows(const T* const* rows, Index count, Index W, Index C, Index Cs, T* planes,
-                    Index plane_stride, T* tile);
-}  // namespace isa_avx512
+  template <Isa isa>
+  static SweepKernels compiled_for();
+};
 
 }  // namespace satsurf

@@ -28,7 +28,7 @@ void each(Index n, const F& f) {
   });
 }
 
-/// Puts f(i) where the gradient of input k goes, for all i.
+/// Adds f(i), or stores it if it is the first, in the gradient of input k for all i.
 template <class T, class F>
 void each_gradient(Node<T>& n, std::size_t k, const F& f) {
   const GradientTarget<T> target = n.grad_out(k);
@@ -113,7 +113,7 @@ BasicVar<T> relu(const BasicVar<T>& x) {
   T* y = out.data();
   each(out.count(), [=](Index i) { y[i] = px[i] < 0 ? T(0) : px[i]; });  // NaN stays
   return BasicVar<T>::record("relu", out, {x}, [](Node<T>& n) {
-    gradient_by(n, n.value.data(), SATSURF_DISPATCH(relu_backward<T>));
+    gradient_by(n, n.value.data(), active_kernels<PointwiseKernels<T>>().relu_backward);
   });
 }
 
@@ -122,11 +122,11 @@ BasicVar<T> gelu(const BasicVar<T>& x) {
   auto out = BasicTensor<T>::uninitialised(x.shape());
   const T* px = x.value().data();
   T* y = out.data();
-  const auto forward = SATSURF_DISPATCH(gelu<T>);
+  const auto forward = active_kernels<PointwiseKernels<T>>().gelu;
   for_range(out.count(), kGrain,
             [=](Index begin, Index end) { forward(end - begin, px + begin, y + begin); });
   return BasicVar<T>::record("gelu", out, {x}, [](Node<T>& n) {
-    gradient_by(n, n.in(0), SATSURF_DISPATCH(gelu_backward<T>));
+    gradient_by(n, n.in(0), active_kernels<PointwiseKernels<T>>().gelu_backward);
   });
 }
 
@@ -135,25 +135,12 @@ BasicVar<T> sigmoid(const BasicVar<T>& x) {
   auto out = BasicTensor<T>::uninitialised(x.shape());
   const T* px = x.value().data();
   T* y = out.data();
-  const auto kernel = SATSURF_DISPATCH(logistic<T>);
+  const auto kernel = active_kernels<PointwiseKernels<T>>().logistic;
   for_range(out.count(), kGrain,
             [=](Index begin, Index end) { kernel(end - begin, px + begin, y + begin); });
   return BasicVar<T>::record("sigmoid", out, {x}, [](Node<T>& n) {
     const T *g = n.grad.data(), *s = n.value.data();
     each_gradient(n, 0, [=](Index i) { return g[i] * s[i] * (T(1) - s[i]); });
-  });
-}
-
-template <class T>
-BasicVar<T> softplus(const BasicVar<T>& x) {
-  auto out = BasicTensor<T>::uninitialised(x.shape());
-  const T* px = x.value().data();
-  T* y = out.data();
-  const auto forward = SATSURF_DISPATCH(softplus<T>);
-  for_range(out.count(), kGrain,
-            [=](Index begin, Index end) { forward(end - begin, px + begin, y + begin); });
-  return BasicVar<T>::record("softplus", out, {x}, [](Node<T>& n) {
-    gradient_by(n, n.in(0), SATSURF_DISPATCH(softplus_backward<T>));
   });
 }
 
@@ -171,7 +158,5 @@ template BasicVar<float> gelu(const BasicVar<float>&);
 template BasicVar<double> gelu(const BasicVar<double>&);
 template BasicVar<float> sigmoid(const BasicVar<float>&);
 template BasicVar<double> sigmoid(const BasicVar<double>&);
-template BasicVar<float> softplus(const BasicVar<float>&);
-template BasicVar<double> softplus(const BasicVar<double>&);
 
 }  // namespace satsurf

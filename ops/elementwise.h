@@ -54,12 +54,6 @@ BasicVar<T> gelu(const BasicVar<T>& x);
 template <class T>
 BasicVar<T> sigmoid(const BasicVar<T>& x);
 
-/// log(1 + exp(x)), without overflow for any x.
-/// x        any shape
-/// returns  x's shape
-template <class T>
-BasicVar<T> softplus(const BasicVar<T>& x);
-
 /// As `add`, `sub` and `mul`.
 template <class T>
 BasicVar<T> operator+(BasicVar<T> a, BasicVar<T> b) {

@@ -62,7 +62,7 @@ BasicVar<T> feature_distance(const BasicVar<T>& features, const BasicTensor<T>& 
         at.sum[i] += w[c] * (d * d);
       }
     double sum = 0;
-    for (Index i = 0; i < n; ++i) sum += static_cast<double>(at.sum[i]);
+    for (Index i = 0; i < n; ++i) sum += at.sum[i];
     return sum;
   });
   const double pixels = static_cast<double>(B * P);

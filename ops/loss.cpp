@@ -39,7 +39,7 @@ BasicVar<T> weighted_mean(const char* op, const BasicVar<T>& x, const BasicTenso
   const auto from = [](const BasicTensor<T>& t, Index i) {
     return t.empty() ? nullptr : t.data() + i;
   };
-  const auto kernels = SATSURF_DISPATCH(loss_kernels<T>)();
+  const auto& kernels = active_kernels<LossKernels<T>>();
   const Sums sums = ordered_reduce(x.count(), kGrain, Sums{}, [&](Index begin, Index end) {
     double of_piece[2];
     kernels.sums(distance, beta, end - begin, x.value().data() + begin, target.data() + begin,
@@ -51,7 +51,7 @@ BasicVar<T> weighted_mean(const char* op, const BasicVar<T>& x, const BasicTenso
   return BasicVar<T>::record(op, out, {x}, [=](Node<T>& n) {
     T* dx = n.grad_in(0);
     if (dx == nullptr) return;
-    const T factor = static_cast<T>(static_cast<double>(n.grad[0]) / total);
+    const T factor = static_cast<T>(n.grad[0] / total);
     for_range(target.count(), kGrain, [=, &n](Index begin, Index end) {
       kernels.backward(distance, beta, factor, end - begin, n.in(0) + begin, target.data() + begin,
                        from(weight, begin), dx + begin);
@@ -65,7 +65,7 @@ template <class T>
 BasicVar<T> smooth_l1(const BasicVar<T>& x, const BasicTensor<T>& target,
                       const BasicTensor<T>& weight, T beta) {
   if (!(beta > 0))
-    throw ConfigError("smooth_l1: beta is " + std::to_string(static_cast<double>(beta)) +
+    throw ConfigError("smooth_l1: beta is " + std::to_string(beta) +
                       ", expected a positive number");
   return weighted_mean("smooth_l1", x, target, weight, Distance::smooth_l1, beta);
 }

@@ -3,7 +3,7 @@
 
 #include "satsurf/ops/batch_kernels.h"
 
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 template <class T>
@@ -72,11 +72,16 @@ void backward(Distance distance, T beta, T factor, Index n, const T* x, const T*
 
 }  // namespace
 
-template <class T>
-LossKernels<T> loss_kernels() {
-  return {.sums = sums<T>, .backward = backward<T>};
-}
-template LossKernels<float> loss_kernels();
-template LossKernels<double> loss_kernels();
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf {
+
+template <class T>
+template <Isa isa>
+LossKernels<T> LossKernels<T>::compiled_for() {
+  return {.sums = here::sums<T>, .backward = here::backward<T>};
+}
+template LossKernels<float> LossKernels<float>::compiled_for<kIsa>();
+template LossKernels<double> LossKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf

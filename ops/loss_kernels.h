@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/shape.h"
 
 namespace satsurf {
@@ -22,19 +23,9 @@ struct LossKernels {
   /// d += factor w distance'(x - target)
   void (*backward)(Distance distance, T beta, T factor, Index n, const T* x, const T* target,
                    const T* weight, T* d);
-};
 
-namespace isa_baseline {
-template <class T>
-LossKernels<T> loss_kernels();
-}
-namespace isa_avx2 {
-template <class T>
-LossKernels<T> loss_kernels();
-}
-namespace isa_avx512 {
-template <class T>
-LossKernels<T> loss_kernels();
-}
+  template <Isa isa>
+  static LossKernels compiled_for();
+};
 
 }  // namespace satsurf

@@ -143,7 +143,7 @@ BasicVar<T> matmul(const BasicVar<T>& a, const BasicVar<T>& b, bool transpose_a,
   Dims dim("matmul");
   dim.match("a", a, transpose_a ? "K M" : "M K").match("b", b, transpose_b ? "N K" : "K N");
   const Index M = dim["M"], N = dim["N"], K = dim["K"];
-  const auto& kernels = SATSURF_DISPATCH(matmul_kernels<T>)();
+  const auto& kernels = active_kernels<MatmulKernels<T>>();
 
   auto out = BasicTensor<T>::uninitialised({M, N});
   gemm(kernels, M, N, K, a.value().data(), transpose_a, b.value().data(), transpose_b, out.data(),

@@ -5,7 +5,7 @@
 
 #include <cstddef>
 
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 // A tile's sums, one row of b and one element of a fill the registers: 8 x 3 + 3 + 1 of 32, or
@@ -75,33 +75,15 @@ void multiply(const T* a, Index rows, const T* b, Index vectors, Index columns, 
     tile<T, V>(a + r * K, rows - r, b, columns, K, out + r * stride, stride, accumulate);
 }
 
-/// Elements of a and b in turn: of their first halves, or of the second with Upper = half a vector.
-template <class T, Index Upper, class Vector, Index... I>
-Vector interleave(const Vector& a, const Vector& b, Lanes<I...>) {
-  return __builtin_shufflevector(a, b, (Upper + I / 2 + I % 2 * kLanes<T>)...);
-}
-
-/// Packs one vector of each of W lines, those from `count` on as zeros. Interleaving the first half
-/// of all elements with the second turns the bits of their numbers round by one; log2 W times, and
-/// the line, which was the upper bits, is the lower ones.
+/// Packs one vector of each of W lines, those from `count` on as zeros.
 template <class T, Index W>
-void transpose(const T* x, Index stride, Index count, Index width, T* packed) {
-  constexpr Index L = kLanes<T>, H = W / 2;
-  using P = Part<T, kVectorBytes<T>>;
+void pack_square(const T* x, Index stride, Index count, Index width, T* packed) {
+  constexpr Index L = kLanes<T>;
+  using P = Part<T, kBatchBytes<T>>;
   typename P::Vector v[W];
 #pragma GCC unroll 16
   for (Index i = 0; i < W; ++i) v[i] = i < count ? P::load(x + i * stride) : typename P::Vector{};
-#pragma GCC unroll 4
-  for (Index round = 1; round < W; round *= 2) {
-    typename P::Vector u[W];
-#pragma GCC unroll 8
-    for (Index i = 0; i < H; ++i) {
-      u[2 * i] = interleave<T, 0>(v[i], v[i + H], AllLanes<T>{});
-      u[2 * i + 1] = interleave<T, L / 2>(v[i], v[i + H], AllLanes<T>{});
-    }
-#pragma GCC unroll 16
-    for (Index i = 0; i < W; ++i) v[i] = u[i];
-  }
+  transpose<T, kBatchBytes<T>>(v);
 #pragma GCC unroll 16
   for (Index i = 0; i < W; ++i) P::store(packed + i * L / W * width + i * L % W, v[i]);
 }
@@ -111,7 +93,7 @@ template <class T, Index W>
 void pack_along(const T* x, Index stride, Index count, Index width, Index K, T* packed) {
   constexpr Index L = kLanes<T>;
   Index k = 0;
-  for (; k + L <= K; k += L) transpose<T, W>(x + k, stride, count, width, packed + k * width);
+  for (; k + L <= K; k += L) pack_square<T, W>(x + k, stride, count, width, packed + k * width);
   for (; k < K; ++k)
     for (Index i = 0; i < W; ++i) packed[k * width + i] = i < count ? x[i * stride + k] : T(0);
 }
@@ -156,17 +138,21 @@ void pack_columns(const T* x, Index stride, bool along_k, Index columns, Index v
 
 }  // namespace
 
-template <class T>
-const MatmulKernels<T>& matmul_kernels() {
-  static const MatmulKernels<T> kernels{.lanes = kLanes<T>,
-                                        .tile_rows = kTileRows,
-                                        .tile_vectors = kTileVectors,
-                                        .pack_rows = pack_rows<T>,
-                                        .pack_columns = pack_columns<T>,
-                                        .multiply = multiply<T>};
-  return kernels;
-}
-template const MatmulKernels<float>& matmul_kernels();
-template const MatmulKernels<double>& matmul_kernels();
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf {
+
+template <class T>
+template <Isa isa>
+MatmulKernels<T> MatmulKernels<T>::compiled_for() {
+  return {.lanes = here::kLanes<T>,
+          .tile_rows = here::kTileRows,
+          .tile_vectors = here::kTileVectors,
+          .pack_rows = here::pack_rows<T>,
+          .pack_columns = here::pack_columns<T>,
+          .multiply = here::multiply<T>};
+}
+template MatmulKernels<float> MatmulKernels<float>::compiled_for<kIsa>();
+template MatmulKernels<double> MatmulKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf

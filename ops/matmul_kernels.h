@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/shape.h"
 
 namespace satsurf {
@@ -29,20 +30,10 @@ struct MatmulKernels {
   /// b  a panel packed by `pack_columns`; stands at whole vectors
   void (*multiply)(const T* a, Index rows, const T* b, Index vectors, Index columns, Index K,
                    T* out, Index stride, bool accumulate);
-};
 
-namespace isa_baseline {
-template <class T>
-const MatmulKernels<T>& matmul_kernels();
-}
-namespace isa_avx2 {
-template <class T>
-const MatmulKernels<T>& matmul_kernels();
-}
-namespace isa_avx512 {
-template <class T>
-const MatmulKernels<T>& matmul_kernels();
-}
+  template <Isa isa>
+  static MatmulKernels compiled_for();
+};
 
 /// out [M N] = op(a) op(b), or that added if `accumulate`; the whole product with the kernels of
 /// one instruction set.

@@ -16,13 +16,11 @@ struct Group {
   double count, mean, rstd;
 };
 
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
-
 std::vector<Group> groups_of(const ChannelMoments& moments, Index channels, double epsilon) {
-  std::vector<Group> out(moments.size() / at(channels));
+  std::vector<Group> out(moments.size() / channels);
   for (std::size_t q = 0; q < out.size(); ++q) {
     Moments m;
-    for (Index c = 0; c < channels; ++c) m.merge(moments[q * at(channels) + at(c)]);
+    for (Index c = 0; c < channels; ++c) m.merge(moments[q * channels + c]);
     out[q] = {m.count, m.mean, 1 / std::sqrt(m.m2 / m.count + epsilon)};
   }
   return out;
@@ -36,39 +34,38 @@ Normalised<T> group_normalised(const BasicVar<T>& x, const BasicVar<T>& gamma,
                                T epsilon, const ChannelMoments* moments) {
   const Shape& s = x.shape();
   if (s.rank() < 3 || s.count() == 0)
-    throw ShapeError("group_norm: x has shape " + s.str() +
+    throw ShapeError("group_normalised: x has shape " + s.str() +
                      ", expected a non-empty [B C ...] of rank 3 to 5");
-  Dims dim("group_norm");
+  Dims dim("group_normalised");
   dim.match("x", Shape{s[1]}, "C").match("gamma", gamma, "C").match("beta", beta, "C");
   if (groups < 1 || s[1] % groups != 0)
-    throw ShapeError("group_norm: " + std::to_string(groups) + " groups, expected a divisor of " +
-                     std::to_string(s[1]) + " channels");
+    throw ShapeError("group_normalised: " + std::to_string(groups) +
+                     " groups, expected a divisor of " + std::to_string(s[1]) + " channels");
   const Index B = s[0], C = s[1], per_group = C / groups;
-  if (moments != nullptr && moments->size() != at(B * C))
-    throw ShapeError("group_norm: " + std::to_string(moments->size()) +
+  if (moments != nullptr && std::ssize(*moments) != B * C)
+    throw ShapeError("group_normalised: " + std::to_string(moments->size()) +
                      " moments, expected one for each channel of " + s.str());
   const std::vector<Group> group =
-      groups_of(moments == nullptr ? channel_moments(x.value()) : *moments, per_group,
-                static_cast<double>(epsilon));
+      groups_of(moments == nullptr ? channel_moments(x.value()) : *moments, per_group, epsilon);
 
   auto affine = BasicTensor<T>::uninitialised({3, B, C});
   for (Index row = 0; row < B * C; ++row) {
-    const Group& g = group[at(row / per_group)];
+    const Group& g = group[row / per_group];
     affine[row] = static_cast<T>(g.mean);
-    affine[B * C + row] = static_cast<T>(static_cast<double>(gamma.value()[row % C]) * g.rstd);
+    affine[B * C + row] = static_cast<T>(gamma.value()[row % C] * g.rstd);
     affine[2 * B * C + row] = beta.value()[row % C];
   }
   auto coefficients = BasicVar<T>::record(
-      "group_norm", affine, {x, gamma, beta}, [group, B, C, per_group](Node<T>& n) {
+      "group_normalised", affine, {x, gamma, beta}, [group, B, C, per_group](Node<T>& n) {
         const T *g = n.grad.data(), *ga = n.in(1);
         T *dx = n.grad_in(0), *dgamma = n.grad_in(1), *dbeta = n.grad_in(2);
         std::vector<double> dmean(group.size()), drstd(group.size());
         for (Index row = 0; row < B * C; ++row) {
-          const std::size_t q = at(row / per_group);
+          const std::size_t q = row / per_group;
           const Index c = row % C;
-          const double dscale = static_cast<double>(g[B * C + row]);
-          dmean[q] += static_cast<double>(g[row]);
-          drstd[q] += static_cast<double>(ga[c]) * dscale;
+          const double dscale = g[B * C + row];
+          dmean[q] += g[row];
+          drstd[q] += ga[c] * dscale;
           if (dgamma != nullptr) dgamma[c] += static_cast<T>(group[q].rstd * dscale);
           if (dbeta != nullptr) dbeta[c] += g[2 * B * C + row];
         }
@@ -76,7 +73,7 @@ Normalised<T> group_normalised(const BasicVar<T>& x, const BasicVar<T>& gamma,
         // mean = sum(x) / M and rstd = (sum((x - mean)^2) / M + epsilon)^(-1/2)
         auto linear = BasicTensor<T>::uninitialised({3, B, C});
         for (Index row = 0; row < B * C; ++row) {
-          const std::size_t q = at(row / per_group);
+          const std::size_t q = row / per_group;
           const Group& own = group[q];
           linear[row] = static_cast<T>(own.mean);
           linear[B * C + row] = static_cast<T>(-std::pow(own.rstd, 3) * drstd[q] / own.count);
@@ -87,23 +84,10 @@ Normalised<T> group_normalised(const BasicVar<T>& x, const BasicVar<T>& gamma,
   return {x, coefficients, activation};
 }
 
-template <class T>
-BasicVar<T> group_norm(BasicVar<T> x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
-                       Index groups, Activation activation, T epsilon) {
-  auto value = group_normalised(x, gamma, beta, groups, activation, epsilon);
-  x = {};  // so that the value holds the last copy
-  return materialise(std::move(value));
-}
-
 template Normalised<float> group_normalised(const BasicVar<float>&, const BasicVar<float>&,
                                             const BasicVar<float>&, Index, Activation, float,
                                             const ChannelMoments*);
 template Normalised<double> group_normalised(const BasicVar<double>&, const BasicVar<double>&,
                                              const BasicVar<double>&, Index, Activation, double,
                                              const ChannelMoments*);
-template BasicVar<float> group_norm(BasicVar<float>, const BasicVar<float>&, const BasicVar<float>&,
-                                    Index, Activation, float);
-template BasicVar<double> group_norm(BasicVar<double>, const BasicVar<double>&,
-                                     const BasicVar<double>&, Index, Activation, double);
-
 }  // namespace satsurf

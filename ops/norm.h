@@ -15,15 +15,9 @@ namespace satsurf {
 /// groups       divides C
 /// activation   applied to the result
 /// epsilon      added to the variance
-/// returns      x's shape
+/// moments      of x's channels, if whoever made x has gathered them
+/// returns      x's shape, left to whoever reads it (ops/normalised.h)
 /// throws       ShapeError
-/// memory       backward keeps x itself; without a tape a temporary's buffer takes the result
-template <class T>
-BasicVar<T> group_norm(BasicVar<T> x, const BasicVar<T>& gamma, const BasicVar<T>& beta,
-                       Index groups, Activation activation = Activation::none, T epsilon = T(1e-5));
-
-/// The same, left to whoever reads it.
-/// moments  of x's channels, if whoever made x has gathered them
 template <class T>
 Normalised<T> group_normalised(const BasicVar<T>& x, const BasicVar<T>& gamma,
                                const BasicVar<T>& beta, Index groups,

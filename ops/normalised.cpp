@@ -37,8 +37,6 @@ struct Rows {
   }
 };
 
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
-
 }  // namespace
 
 template <class T>
@@ -61,8 +59,8 @@ void detail::normalised_backward(Node<T>& n, std::size_t i, Activation activatio
   const BasicTensor<T>& x = n.inputs[i]->value;
   const Rows rows(x.shape());
   const NormRows<T> norm(n.inputs[i + 1] ? n.in(i + 1) : nullptr, rows.count);
-  std::vector<double> sums(at(2 * rows.count * rows.chunks));
-  const auto kernel = SATSURF_DISPATCH(norm_backward<T>);
+  std::vector<double> sums(2 * rows.count * rows.chunks);
+  const auto kernel = active_kernels<PointwiseKernels<T>>().norm_backward;
   rows.each_chunk([&](Index row, Index k, Index begin, Index end) {
     kernel(end - begin, x.data() + begin, dz + begin, norm[row], activation, dx.accumulate,
            dx ? dx.data + begin : nullptr, sums.data() + 2 * k);
@@ -71,10 +69,10 @@ void detail::normalised_backward(Node<T>& n, std::size_t i, Activation activatio
   for (Index row = 0; row < rows.count; ++row) {
     double sum = 0, products = 0;  // of dz act' and of dz act' (x - centre)
     for (Index k = row * rows.chunks; k < (row + 1) * rows.chunks; ++k) {
-      sum += sums[at(2 * k)];
-      products += sums[at(2 * k + 1)];
+      sum += sums[2 * k];
+      products += sums[2 * k + 1];
     }
-    daffine[row] -= static_cast<T>(static_cast<double>(norm[row].scale) * sum);
+    daffine[row] -= static_cast<T>(norm[row].scale * sum);
     daffine[rows.count + row] += static_cast<T>(products);
     daffine[2 * rows.count + row] += static_cast<T>(sum);
   }
@@ -84,7 +82,7 @@ template <class T>
 void detail::add_affine(const BasicTensor<T>& x, const BasicTensor<T>& affine, T* d) {
   const Rows rows(x.shape());
   const NormRows<T> norm(affine.data(), rows.count);
-  const auto kernel = SATSURF_DISPATCH(norm_add_linear<T>);
+  const auto kernel = active_kernels<PointwiseKernels<T>>().norm_add_linear;
   rows.each_chunk([&](Index row, Index, Index begin, Index end) {
     kernel(end - begin, x.data() + begin, norm[row], d + begin);
   });
@@ -92,18 +90,18 @@ void detail::add_affine(const BasicTensor<T>& x, const BasicTensor<T>& affine, T
 
 template <class T>
 BasicVar<T> materialise(Normalised<T> value) {
-  detail::check_normalised("evaluate", value);
+  detail::check_normalised("materialise", value);
   if (value.affine.empty() && value.activation == Activation::none) return std::move(value.x);
   const Rows rows(value.shape());
   const NormRows<T> norm(value.affine.empty() ? nullptr : value.affine.value().data(), rows.count);
   const Activation activation = value.activation;
   auto out = value.x.reuse_or_new();
   const T* x = value.x.value().data();
-  const auto kernel = SATSURF_DISPATCH(norm_apply<T>);
+  const auto kernel = active_kernels<PointwiseKernels<T>>().norm_apply;
   rows.each_chunk([&](Index row, Index, Index begin, Index end) {
     kernel(end - begin, x + begin, norm[row], activation, nullptr, out.data() + begin);
   });
-  return BasicVar<T>::record("evaluate", out, {value.x, value.affine}, [activation](Node<T>& n) {
+  return BasicVar<T>::record("materialise", out, {value.x, value.affine}, [activation](Node<T>& n) {
     detail::normalised_backward(n, 0, activation, n.grad.data());
   });
 }
@@ -121,7 +119,7 @@ BasicVar<T> add(Normalised<T> a, Normalised<T> b) {
   const Activation act_a = a.activation, act_b = b.activation;
   auto out = a.x.reuse_or_new();
   const T *pa = a.x.value().data(), *pb = b.x.value().data();
-  const auto kernel = SATSURF_DISPATCH(norm_apply<T>);
+  const auto kernel = active_kernels<PointwiseKernels<T>>().norm_apply;
   rows.each_chunk([&](Index row, Index, Index begin, Index end) {
     T* sum = out.data() + begin;
     kernel(end - begin, pa + begin, norm_a[row], act_a, nullptr, sum);
@@ -144,7 +142,7 @@ BasicVar<T> add_map(Normalised<T> volume, const BasicVar<T>& map) {
   const Activation activation = volume.activation;
   auto out = volume.x.reuse_or_new();
   const T *x = volume.x.value().data(), *added = map.value().data();
-  const auto kernel = SATSURF_DISPATCH(norm_apply<T>);
+  const auto kernel = active_kernels<PointwiseKernels<T>>().norm_apply;
   for_each_index(rows * D, [&](Index plane) {
     const Index row = plane / D;
     kernel(P, x + plane * P, norm[row], activation, added + row * P, out.data() + plane * P);
@@ -178,16 +176,15 @@ void Moments::merge(const Moments& other) {
 template <class T>
 ChannelMoments channel_moments(const BasicTensor<T>& x) {
   const Rows rows(x.shape());
-  ChannelMoments parts(at(rows.count * rows.chunks)), all(at(rows.count));
-  const auto kernel = SATSURF_DISPATCH(norm_sums<T>);
+  ChannelMoments parts(rows.count * rows.chunks), all(rows.count);
+  const auto kernel = active_kernels<PointwiseKernels<T>>().norm_sums;
   rows.each_chunk([&](Index, Index k, Index begin, Index end) {
     if (begin == end) return;
     double sums[2];  // about the first element: no cancellation where the mean is large
     kernel(end - begin, x.data() + begin, x[begin], sums);
-    parts[at(k)] = Moments::about(static_cast<double>(x[begin]), static_cast<double>(end - begin),
-                                  sums[0], sums[1]);
+    parts[k] = Moments::about(x[begin], static_cast<double>(end - begin), sums[0], sums[1]);
   });
-  for (Index k = 0; k < rows.count * rows.chunks; ++k) all[at(k / rows.chunks)].merge(parts[at(k)]);
+  for (Index k = 0; k < rows.count * rows.chunks; ++k) all[k / rows.chunks].merge(parts[k]);
   return all;
 }
 

@@ -47,8 +47,8 @@ struct Sums {
   template <class T>
   void add(T counts, T at_x, T at_y, double pivot_x, double pivot_y) {
     const auto w = static_cast<double>(counts);
-    const double dx = w * (static_cast<double>(at_x) - pivot_x);
-    const double dy = w * (static_cast<double>(at_y) - pivot_y);
+    const double dx = w * (at_x - pivot_x);
+    const double dy = w * (at_y - pivot_y);
     n += w;
     x += dx;
     y += dy;
@@ -96,7 +96,7 @@ void each_patch(Index N, Grid& grid, const Body& body) {
       const Index x = grid.columns.begin(c);
       const Patch patch{(n * grid.rows.extent + y) * W + x, grid.rows.end(piece % R) - y,
                         grid.columns.end(c) - x};
-      body(n, patch, grid.patches[static_cast<std::size_t>(piece * C + c)]);
+      body(n, patch, grid.patches[piece * C + c]);
     }
   });
 }
@@ -141,7 +141,7 @@ struct Problem {
   }
 
   Sums sums(const Patch& p, Index at) const {
-    const auto px = static_cast<double>(x[at]), py = static_cast<double>(y[at]);
+    const double px = x[at], py = y[at];
     Sums s;
     each_pixel(p, W, [&](Index i) { s.add(valid[i], x[i], y[i], px, py); });
     return s;
@@ -165,8 +165,7 @@ struct Problem {
     const double sx = s.deviation_x(), sy = s.deviation_y();
     if (s.n < options.min_valid * full || sy == 0 || sy < options.flat * view_deviation_y)
       return {};
-    PatchMoments m{s.n, static_cast<double>(x[at]) + s.x / s.n,
-                   static_cast<double>(y[at]) + s.y / s.n};
+    PatchMoments m{s.n, x[at] + s.x / s.n, y[at] + s.y / s.n};
     const double spread = sx + options.eps;
     m.rho = s.covariance() / (spread * sy);
     m.by_y = 1 / (s.n * spread * sy);
@@ -178,18 +177,16 @@ struct Problem {
 /// The pixel's difference of normalised deviations from the patch means.
 template <class T>
 double difference(const PatchMoments& m, const ViewScale& v, T x, T y) {
-  return (static_cast<double>(x) - m.mean_x) * v.inverse_x -
-         (static_cast<double>(y) - m.mean_y) * v.inverse_y;
+  return (x - m.mean_x) * v.inverse_x - (y - m.mean_y) * v.inverse_y;
 }
 
 /// Every pixel is written once per grid, and grids come one after the other.
 template <class T, class Body>
 void each_counted_patch(const Saved<T>& saved, const Body& body) {
   for (const GridMoments& grid : saved.grids)
-    each_patch(static_cast<Index>(saved.views.size()), grid,
-               [&](Index n, const Patch& p, const PatchMoments& m) {
-                 if (m.n > 0) body(saved.views[static_cast<std::size_t>(n)], p, m);
-               });
+    each_patch(std::ssize(saved.views), grid, [&](Index n, const Patch& p, const PatchMoments& m) {
+      if (m.n > 0) body(saved.views[n], p, m);
+    });
 }
 
 /// The upstream gradients of one patch's share of the losses.
@@ -212,11 +209,10 @@ void local_backward(Node<T>& node, const Saved<T>& saved) {
           *share = saved.share.data();
   each_counted_patch(saved, [=](const ViewScale&, const Patch& p, const PatchMoments& m) {
     double total = 0;  // one rho serves all pixels of the patch
-    each_pixel(p, W, [&](Index i) { total += static_cast<double>(g[i]); });
+    each_pixel(p, W, [&](Index i) { total += g[i]; });
     const double by_x = total * m.by_x, by_y = total * m.by_y;
     each_pixel(p, W, [=, mx = m.mean_x, my = m.mean_y](Index i) {
-      const T slope = static_cast<T>(by_x * (static_cast<double>(x[i]) - mx) +
-                                     by_y * (static_cast<double>(y[i]) - my));
+      const T slope = static_cast<T>(by_x * (x[i] - mx) + by_y * (y[i] - my));
       d[i] -= share[i] != T(0) ? slope : T(0);
     });
   });
@@ -231,9 +227,7 @@ void global_backward(Node<T>& node, const Saved<T>& saved) {
   const T *g = upstream.data(), *x = saved.x.data(), *y = saved.y.data(),
           *share = saved.share.data();
   each_counted_patch(saved, [=](const ViewScale& v, const Patch& p, const PatchMoments& m) {
-    const auto slope = [=](Index i) {
-      return static_cast<double>(g[i]) * difference(m, v, x[i], y[i]);
-    };
+    const auto slope = [=](Index i) { return g[i] * difference(m, v, x[i], y[i]); };
     double sum = 0;  // each pixel also moves the mean
     each_pixel(p, W, [&](Index i) { sum += slope(i); });
     const double mean = sum / m.n;
@@ -285,10 +279,10 @@ PatchPearson<T> patch_pearson(const BasicVar<T>& x, const BasicTensor<T>& target
   T *l = local.data(), *e = global.data(), *number = saved->share.data();
   for (const PatchGrid& g : options.grids) {
     GridMoments grid{Axis(H, g.side, g.top), Axis(W, g.side, g.left), {}};
-    grid.patches.resize(static_cast<std::size_t>(N * grid.rows.patches * grid.columns.patches));
+    grid.patches.resize(N * grid.rows.patches * grid.columns.patches);
     const auto full = static_cast<double>(grid.rows.side * grid.columns.side);
     each_patch(N, grid, [&, l, e, number](Index n, const Patch& p, PatchMoments& moments) {
-      const ViewScale view = saved->views[static_cast<std::size_t>(n)];
+      const ViewScale view = saved->views[n];
       const PatchMoments m = moments = problem.moments(p, full, view.deviation_y);
       if (m.n == 0) return;
       const T loss = static_cast<T>(1 - m.rho);

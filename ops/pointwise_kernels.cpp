@@ -4,7 +4,7 @@
 #include "satsurf/ops/batch_kernels.h"
 #include "satsurf/ops/normalised.h"
 
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 inline Batch<double> gelu_of(const Batch<double>& x) {
@@ -57,19 +57,6 @@ Batch<T> logistic_of(const Batch<T>& x) {
   return xsimd::select(x < T(0), e, Batch<T>(1)) / (T(1) + e);
 }
 
-/// log(1 + exp(x))
-inline Batch<double> softplus_of(const Batch<double>& x) {
-  return xsimd::max(Batch<double>(0.0), x) + xsimd::log1p(exp_below(-xsimd::abs(x)));
-}
-inline Batch<float> softplus_of(const Batch<float>& x) {
-  // minimax fit of log(1 + e) / e for 0 <= e <= 1, relative error 3e-8
-  constexpr float kRatio[] = {0.00523267635f, -0.0295051744f, 0.0782258629f,
-                              -0.136632401f,  0.191060054f,   -0.248429824f,
-                              0.333190969f,   -0.499994932f,  0.99999997f};
-  const Batch<float> zero(0.0f), e = exp_below(xsimd::bitwise_or(x, Batch<float>(-0.0f)));
-  return xsimd::fma(e, polynomial(kRatio, e), xsimd::max(zero, x));
-}
-
 struct NoActivation {
   template <class B>
   B value(const B& z) const {
@@ -120,8 +107,6 @@ void with_activation(Activation activation, const Body& body) {
     body(NoActivation{});
 }
 
-}  // namespace
-
 template <class T>
 void relu_backward(Index n, const T* y, const T* g, bool accumulate, T* d) {
   each_gradient(n, accumulate, d, [=](Index i, Index k) {
@@ -146,17 +131,6 @@ void logistic(Index n, const T* x, T* y) {
 }
 
 template <class T>
-void softplus(Index n, const T* x, T* y) {
-  each_batch<T>(n, [=](Index i, Index k) { store(y + i, softplus_of(load(x + i, k)), k); });
-}
-
-template <class T>
-void softplus_backward(Index n, const T* x, const T* g, bool accumulate, T* d) {
-  each_gradient(n, accumulate, d,
-                [=](Index i, Index k) { return load(g + i, k) * logistic_of(load(x + i, k)); });
-}
-
-template <class T>
 void norm_sums(Index n, const T* x, T shift, double* sums) {
   PairSum<T> total;
   const Index whole = n / kLanes<T> * kLanes<T>;
@@ -166,7 +140,7 @@ void norm_sums(Index n, const T* x, T shift, double* sums) {
   });
   total.result(sums);
   for (Index i = whole; i < n; ++i) {
-    const double e = static_cast<double>(x[i] - shift);
+    const double e = x[i] - shift;
     sums[0] += e;
     sums[1] += e * e;
   }
@@ -220,29 +194,24 @@ void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d) {
   });
 }
 
-template void relu_backward(Index, const float*, const float*, bool, float*);
-template void relu_backward(Index, const double*, const double*, bool, double*);
-template void gelu(Index, const float*, float*);
-template void gelu(Index, const double*, double*);
-template void gelu_backward(Index, const float*, const float*, bool, float*);
-template void gelu_backward(Index, const double*, const double*, bool, double*);
-template void logistic(Index, const float*, float*);
-template void logistic(Index, const double*, double*);
-template void softplus(Index, const float*, float*);
-template void softplus(Index, const double*, double*);
-template void softplus_backward(Index, const float*, const float*, bool, float*);
-template void softplus_backward(Index, const double*, const double*, bool, double*);
-template void norm_sums(Index, const float*, float, double*);
-template void norm_sums(Index, const double*, double, double*);
-template void norm_apply(Index, const float*, const NormRow<float>&, Activation, const float*,
-                         float*);
-template void norm_apply(Index, const double*, const NormRow<double>&, Activation, const double*,
-                         double*);
-template void norm_backward(Index, const float*, const float*, const NormRow<float>&, Activation,
-                            bool, float*, double*);
-template void norm_backward(Index, const double*, const double*, const NormRow<double>&, Activation,
-                            bool, double*, double*);
-template void norm_add_linear(Index, const float*, const NormRow<float>&, float*);
-template void norm_add_linear(Index, const double*, const NormRow<double>&, double*);
+}  // namespace
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf {
+
+template <class T>
+template <Isa isa>
+PointwiseKernels<T> PointwiseKernels<T>::compiled_for() {
+  return {.relu_backward = here::relu_backward<T>,
+          .gelu = here::gelu<T>,
+          .gelu_backward = here::gelu_backward<T>,
+          .logistic = here::logistic<T>,
+          .norm_sums = here::norm_sums<T>,
+          .norm_apply = here::norm_apply<T>,
+          .norm_backward = here::norm_backward<T>,
+          .norm_add_linear = here::norm_add_linear<T>};
+}
+template PointwiseKernels<float> PointwiseKernels<float>::compiled_for<kIsa>();
+template PointwiseKernels<double> PointwiseKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf

@@ -1,23 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/shape.h"
-
-// Inner loops of elementwise.cpp, norm.cpp and normalised.cpp, declared once per instruction set
-// (core/isa.h):
-//   relu_backward    d = g where y > 0, else 0
-//   gelu             y = x Phi(x)
-//   gelu_backward    d = g (Phi(x) + x phi(x))
-//   logistic         y = 1 / (1 + exp(-x))
-//   softplus         y = log(1 + exp(x))
-//   softplus_backward  d = g / (1 + exp(-x))
-//   norm_sums        sums[0] = sum(x - shift), sums[1] = sum((x - shift)^2)
-//   norm_apply       y = base + act(z), z = scale (x - centre) + shift; no base if nullptr
-//   norm_backward    dz = g act'(z), d = scale dz; sums[0] = sum(dz), sums[1] = sum(dz (x -
-//                    centre)); d may be nullptr
-//   norm_add_linear  d += z
-// With `accumulate`, d += instead of d =. Sums are taken in lanes of T for short runs and in double
-// between them, in a fixed order.
 
 namespace satsurf {
 
@@ -44,79 +29,34 @@ class NormRows {
   Index rows_;
 };
 
-namespace isa_baseline {
+/// The loops of elementwise.cpp, norm.cpp and normalised.cpp for one instruction set. With
+/// `accumulate`, d += instead of d =. Sums are taken in lanes of T for short runs and in double
+/// between them, in a fixed order.
 template <class T>
-void relu_backward(Index n, const T* y, const T* g, bool accumulate, T* d);
-template <class T>
-void gelu(Index n, const T* x, T* y);
-template <class T>
-void gelu_backward(Index n, const T* x, const T* g, bool accumulate, T* d);
-template <class T>
-void logistic(Index n, const T* x, T* y);
-template <class T>
-void softplus(Index n, const T* x, T* y);
-template <class T>
-void softplus_backward(Index n, const T* x, const T* g, bool accumulate, T* d);
-template <class T>
-void norm_sums(Index n, const T* x, T shift, double* sums);
-template <class T>
-void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
-                T* y);
-template <class T>
-void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                   bool accumulate, T* d, double* sums);
-template <class T>
-void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
-}  // namespace isa_baseline
+struct PointwiseKernels {
+  /// d = g where y > 0, else 0
+  void (*relu_backward)(Index n, const T* y, const T* g, bool accumulate, T* d);
+  /// y = x Phi(x)
+  void (*gelu)(Index n, const T* x, T* y);
+  /// d = g (Phi(x) + x phi(x))
+  void (*gelu_backward)(Index n, const T* x, const T* g, bool accumulate, T* d);
+  /// y = 1 / (1 + exp(-x))
+  void (*logistic)(Index n, const T* x, T* y);
 
-namespace isa_avx2 {
-template <class T>
-void relu_backward(Index n, const T* y, const T* g, bool accumulate, T* d);
-template <class T>
-void gelu(Index n, const T* x, T* y);
-template <class T>
-void gelu_backward(Index n, const T* x, const T* g, bool accumulate, T* d);
-template <class T>
-void logistic(Index n, const T* x, T* y);
-template <class T>
-void softplus(Index n, const T* x, T* y);
-template <class T>
-void softplus_backward(Index n, const T* x, const T* g, bool accumulate, T* d);
-template <class T>
-void norm_sums(Index n, const T* x, T shift, double* sums);
-template <class T>
-void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
-                T* y);
-template <class T>
-void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                   bool accumulate, T* d, double* sums);
-template <class T>
-void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
-}  // namespace isa_avx2
+  /// sums[0] = sum(x - shift), sums[1] = sum((x - shift)^2)
+  void (*norm_sums)(Index n, const T* x, T shift, double* sums);
+  /// y = base + act(z), z = scale (x - centre) + shift; no base if nullptr
+  void (*norm_apply)(Index n, const T* x, const NormRow<T>& row, Activation activation,
+                     const T* base, T* y);
+  /// dz = g act'(z), d = scale dz; sums[0] = sum(dz), sums[1] = sum(dz (x - centre)); d may be
+  /// nullptr
+  void (*norm_backward)(Index n, const T* x, const T* g, const NormRow<T>& row,
+                        Activation activation, bool accumulate, T* d, double* sums);
+  /// d += z
+  void (*norm_add_linear)(Index n, const T* x, const NormRow<T>& row, T* d);
 
-namespace isa_avx512 {
-template <class T>
-void relu_backward(Index n, const T* y, const T* g, bool accumulate, T* d);
-template <class T>
-void gelu(Index n, const T* x, T* y);
-template <class T>
-void gelu_backward(Index n, const T* x, const T* g, bool accumulate, T* d);
-template <class T>
-void logistic(Index n, const T* x, T* y);
-template <class T>
-void softplus(Index n, const T* x, T* y);
-template <class T>
-void softplus_backward(Index n, const T* x, const T* g, bool accumulate, T* d);
-template <class T>
-void norm_sums(Index n, const T* x, T shift, double* sums);
-template <class T>
-void norm_apply(Index n, const T* x, const NormRow<T>& row, Activation activation, const T* base,
-                T* y);
-template <class T>
-void norm_backward(Index n, const T* x, const T* g, const NormRow<T>& row, Activation activation,
-                   bool accumulate, T* d, double* sums);
-template <class T>
-void norm_add_linear(Index n, const T* x, const NormRow<T>& row, T* d);
-}  // namespace isa_avx512
+  template <Isa isa>
+  static PointwiseKernels compiled_for();
+};
 
 }  // namespace satsurf

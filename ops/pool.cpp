@@ -46,15 +46,15 @@ BasicVar<T> max_pool2d(const BasicVar<T>& x, const PoolOptions& options) {
   auto out = BasicTensor<T>::uninitialised({dim["B"], dim["C"], h, w});
   const Index rows = std::max<Index>(1, kGrain / (K * W));
   for_range(P * h, rows, [&](Index begin, Index end) {
-    std::vector<T> column(static_cast<std::size_t>(W));  // the largest of each column's K
+    std::vector<T> column(W);  // the largest of each column's K
     for (Index r = begin; r < end; ++r) {
       const Index top = r % h * S;
       const T* from = x.value().data() + (r / h * H + top) * W;
       std::copy_n(from, W, column.data());
       for (Index k = 1; k < std::min(K, H - top); ++k)
         for (Index j = 0; j < W; ++j) {
-          const T v = from[k * W + j], best = column[static_cast<std::size_t>(j)];
-          column[static_cast<std::size_t>(j)] = beats(v, best) ? v : best;
+          const T v = from[k * W + j], best = column[j];
+          column[j] = beats(v, best) ? v : best;
         }
       T* y = out.data() + r * w;
       for (Index j = 0; j < w; ++j) {

@@ -20,9 +20,8 @@ double ordered_sum(Index n, const Term& term) {
     std::array<double, kSums> s{};
     Index i = begin;
     for (; i + kSums <= end; i += kSums)
-      for (Index k = 0; k < kSums; ++k)
-        s[static_cast<std::size_t>(k)] += static_cast<double>(term(i + k));
-    for (; i < end; ++i) s[0] += static_cast<double>(term(i));
+      for (Index k = 0; k < kSums; ++k) s[k] += term(i + k);
+    for (; i < end; ++i) s[0] += term(i);
     return ((s[0] + s[4]) + (s[1] + s[5])) + ((s[2] + s[6]) + (s[3] + s[7]));
   });
 }
@@ -34,7 +33,7 @@ BasicVar<T> scaled_sum(const char* op, const BasicVar<T>& x, double factor) {
   const T total =
       static_cast<T>(factor * ordered_sum(x.count(), [from](Index i) { return from[i]; }));
   return BasicVar<T>::record(op, BasicTensor<T>::scalar(total), {x}, [factor](Node<T>& n) {
-    const T g = static_cast<T>(static_cast<double>(n.grad[0]) * factor);
+    const T g = static_cast<T>(n.grad[0] * factor);
     if (T* dx = n.grad_in(0))
       for_range(n.inputs[0]->value.count(), kGrain, [=](Index begin, Index end) {
         for (Index i = begin; i < end; ++i) dx[i] += g;
@@ -78,7 +77,7 @@ BasicVar<T> masked_mean(const BasicVar<T>& x, const BasicTensor<T>& mask,
   const double factor = 1.0 / std::max(number, 1.0);
   const auto out = BasicTensor<T>::scalar(static_cast<T>(factor * total));
   return BasicVar<T>::record("masked_mean", out, {x}, [mask, factor](Node<T>& node) {
-    const T g = static_cast<T>(static_cast<double>(node.grad[0]) * factor);
+    const T g = static_cast<T>(node.grad[0] * factor);
     if (T* dx = node.grad_in(0))
       for_range(mask.count(), kGrain, [=, &mask](Index begin, Index end) {
         for (Index i = begin; i < end; ++i) dx[i] += g * mask[i];

@@ -23,8 +23,7 @@ struct Axis {
   std::vector<double> weight;
   bool nearest = false;
 
-  Index out() const { return static_cast<Index>(low.size()); }
-  static std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+  Index out() const { return std::ssize(low); }
 };
 
 Axis nearest_axis(Index in, Index out) {
@@ -55,11 +54,11 @@ Axis bilinear_axis(Index in, Index out) {
 /// first[k]..last[k]-1: the outputs that read input k.
 struct Readers {
   std::vector<Index> first, last;
-  Readers(const Axis& a, Index in) : first(Axis::at(in), 0), last(Axis::at(in), 0) {
+  Readers(const Axis& a, Index in) : first(in, 0), last(in, 0) {
     for (Index i = a.out() - 1; i >= 0; --i)
-      for (const Index k : {a.low[Axis::at(i)], a.high[Axis::at(i)]}) {
-        if (last[Axis::at(k)] == 0) last[Axis::at(k)] = i + 1;
-        first[Axis::at(k)] = i;
+      for (const Index k : {a.low[i], a.high[i]}) {
+        if (last[k] == 0) last[k] = i + 1;
+        first[k] = i;
       }
   }
 };
@@ -115,23 +114,23 @@ BasicVar<T> resample(const char* op, const BasicVar<T>& x, const Size<T>& size, 
   const Index H = size.H, W = size.W, planes = size.planes;
   const Index out_H = vertical.out(), out_W = horizontal.out();
   const bool doubles = out_W == 2 * W;
-  const auto kernels = SATSURF_DISPATCH(resize_kernels<T>)();
+  const auto& kernels = active_kernels<ResizeKernels<T>>();
   auto out = BasicTensor<T>::uninitialised(size.out);
   each_row(planes, out_H, out_W, [&](Index p, Index i) {
     const Axis &v = vertical, &h = horizontal;
     const T* plane = x.value().data() + p * H * W;
-    const T *a = plane + v.low[Axis::at(i)] * W, *b = plane + v.high[Axis::at(i)] * W;
+    const T *a = plane + v.low[i] * W, *b = plane + v.high[i] * W;
     T* y = out.data() + (p * out_H + i) * out_W;
     if (doubles && h.nearest) return kernels.repeat(W, a, y);
     T* mixed = scratch_row<T>(W);
-    kernels.between(W, a, b, static_cast<T>(v.weight[Axis::at(i)]), mixed);
+    kernels.between(W, a, b, static_cast<T>(v.weight[i]), mixed);
     if (doubles) {
       extend(mixed, W);
       return kernels.expand(W, mixed, y);
     }
     for (Index j = 0; j < out_W; ++j) {
-      const T left = mixed[h.low[Axis::at(j)]], right = mixed[h.high[Axis::at(j)]];
-      y[j] = left + static_cast<T>(h.weight[Axis::at(j)]) * (right - left);
+      const T left = mixed[h.low[j]], right = mixed[h.high[j]];
+      y[j] = left + static_cast<T>(h.weight[j]) * (right - left);
     }
   });
   return BasicVar<T>::record(
@@ -145,28 +144,28 @@ BasicVar<T> resample(const char* op, const BasicVar<T>& x, const Size<T>& size, 
           thread_local std::vector<T> shares;
           rows.clear();
           shares.clear();
-          for (Index i = readers.first[Axis::at(k)]; i < readers.last[Axis::at(k)]; ++i) {
-            const T w = static_cast<T>(v.weight[Axis::at(i)]);
-            const T share =
-                (v.low[Axis::at(i)] == k ? T(1) - w : T(0)) + (v.high[Axis::at(i)] == k ? w : T(0));
+          for (Index i = readers.first[k]; i < readers.last[k]; ++i) {
+            const T w = static_cast<T>(v.weight[i]);
+            const T share = (v.low[i] == k ? T(1) - w : T(0)) + (v.high[i] == k ? w : T(0));
             if (share == 0) continue;
             rows.push_back(g + (p * out_H + i) * out_W);
             shares.push_back(share);
           }
           T *to = d.data + (p * H + k) * W, *mixed = scratch_row<T>(out_W);
-          const bool steps = !doubles || rows.empty();  // adds here and there, or nothing at all
+          // Without kernels for the width, elements are added one by one, and some get none.
+          const bool steps = !doubles || rows.empty();
           if (steps && !d.accumulate) std::fill_n(to, W, T(0));
           if (rows.empty()) return;
-          kernels.mix(static_cast<Index>(rows.size()), rows.data(), shares.data(), out_W, mixed);
+          kernels.mix(std::ssize(rows), rows.data(), shares.data(), out_W, mixed);
           if (doubles && h.nearest) return kernels.pair_sums(W, mixed, T(1), d.accumulate, to);
           if (doubles) {
             extend(mixed, out_W);
             return kernels.expand_backward(W, mixed, d.accumulate, to);
           }
           for (Index j = 0; j < out_W; ++j) {
-            const T w = static_cast<T>(h.weight[Axis::at(j)]), m = mixed[j];
-            to[h.low[Axis::at(j)]] += (T(1) - w) * m;
-            to[h.high[Axis::at(j)]] += w * m;
+            const T w = static_cast<T>(h.weight[j]), m = mixed[j];
+            to[h.low[j]] += (T(1) - w) * m;
+            to[h.high[j]] += w * m;
           }
         });
       });
@@ -199,18 +198,18 @@ BasicVar<T> area_downsample(const BasicVar<T>& x, Index factor) {
   const Index planes = s.count(0, r - 2), H = s[r - 2] / factor, W = s[r - 1] / factor;
   const T share = T(1) / static_cast<T>(factor * factor);
   const Index wide = W * factor;
-  const auto kernels = SATSURF_DISPATCH(resize_kernels<T>)();
+  const auto& kernels = active_kernels<ResizeKernels<T>>();
   auto out = BasicTensor<T>::uninitialised(s.with(r - 2, H).with(r - 1, W));
   each_row(planes, H, wide * factor, [&](Index p, Index i) {
     thread_local std::vector<const T*> rows;
     thread_local std::vector<T> ones;
-    rows.resize(Axis::at(factor));
-    ones.assign(Axis::at(factor), T(1));
+    rows.resize(factor);
+    ones.assign(factor, T(1));
     for (Index a = 0; a < factor; ++a)
-      rows[Axis::at(a)] = x.value().data() + ((p * H + i) * factor + a) * wide;
+      rows[a] = x.value().data() + ((p * H + i) * factor + a) * wide;
     T *y = out.data() + (p * H + i) * W, *column_sums = scratch_row<T>(wide);
     kernels.mix(factor, rows.data(), ones.data(), wide, column_sums);
-    Index left = factor;  // columns that make one
+    Index left = factor;  // columns that are still to be added up to one
     for (; left % 2 == 0 && left > 2; left /= 2)
       kernels.pair_sums(W * left / 2, column_sums, T(1), false, column_sums);
     if (left == 2) return kernels.pair_sums(W, column_sums, share, false, y);
@@ -225,8 +224,8 @@ BasicVar<T> area_downsample(const BasicVar<T>& x, Index factor) {
     if (!d) return;
     each_row(planes, H, wide * factor, [&](Index p, Index i) {
       const T* g = n.grad.data() + (p * H + i) * W;
-      T *spread = scratch_row<T>(2 * wide), *other = spread + wide;  // by turns
-      Index done = 1;                                                // columns that each of g fills
+      T *spread = scratch_row<T>(2 * wide), *other = spread + wide;  // written in turn
+      Index done = 1;  // columns over which each gradient has been spread
       for (; factor % (2 * done) == 0; done *= 2, std::swap(spread, other), g = other)
         kernels.repeat(W * done, g, spread);
       if (done != factor) {

@@ -3,30 +3,25 @@
 
 #include "satsurf/ops/batch_kernels.h"
 
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 /// Stores even and odd elements in turn.
 template <class T>
 void store_pairs(const Batch<T>& even, const Batch<T>& odd, T* to) {
-  Batch<T> a, b;
-  interleave(even, odd, a, b, AllLanes<T>{});
-  a.store_unaligned(to);
-  b.store_unaligned(to + kLanes<T>);
+  interleave_low(even, odd).store_unaligned(to);
+  interleave_high(even, odd).store_unaligned(to + kLanes<T>);
 }
 
 /// The elements at even places and those at odd places of 2 L in a row.
 template <class T>
 struct Pairs {
-  Batch<T> even, odd;
-  explicit Pairs(const T* p) { split(p, AllLanes<T>{}); }
+  Batch<T> at_even, at_odd;
 
- private:
-  template <Index... I>
-  void split(const T* p, Lanes<I...>) {
+  explicit Pairs(const T* p) {
     const auto a = Batch<T>::load_unaligned(p), b = Batch<T>::load_unaligned(p + kLanes<T>);
-    even = Batch<T>(__builtin_shufflevector(a.data, b.data, (2 * I)...));
-    odd = Batch<T>(__builtin_shufflevector(a.data, b.data, (2 * I + 1)...));
+    at_even = even(a, b);
+    at_odd = odd(a, b);
   }
 };
 
@@ -90,7 +85,7 @@ void pair_sums(Index n, const T* x, T scale, bool accumulate, T* y) {
   Index i = 0;
   for (; i + L <= n; i += L) {
     const Pairs<T> at(x + 2 * i);
-    Batch<T> sum = scale * (at.even + at.odd);
+    Batch<T> sum = scale * (at.at_even + at.at_odd);
     if (accumulate) sum += Batch<T>::load_unaligned(y + i);
     sum.store_unaligned(y + i);
   }
@@ -119,9 +114,9 @@ void expand_backward(Index n, const T* g, bool accumulate, T* d) {
   constexpr Index L = kLanes<T>;
   Index i = 0;
   for (; i + L <= n; i += L) {
-    const Pairs<T> before(g + 2 * i - 1),
-        behind(g + 2 * i + 1);  // 2i - 1 and 2i; 2i + 1 and 2i + 2
-    const Batch<T> near = before.odd + behind.even, far = before.even + behind.odd;
+    // g[2 i - 1] and g[2 i], then g[2 i + 1] and g[2 i + 2]
+    const Pairs<T> before(g + 2 * i - 1), behind(g + 2 * i + 1);
+    const Batch<T> near = before.at_odd + behind.at_even, far = before.at_even + behind.at_odd;
     Batch<T> sum = xsimd::fma(Batch<T>(T(0.75)), near, T(0.25) * far);
     if (accumulate) sum += Batch<T>::load_unaligned(d + i);
     sum.store_unaligned(d + i);
@@ -133,17 +128,22 @@ void expand_backward(Index n, const T* g, bool accumulate, T* d) {
 
 }  // namespace
 
-template <class T>
-ResizeKernels<T> resize_kernels() {
-  return {.mix = mix<T>,
-          .between = between<T>,
-          .scaled = scaled<T>,
-          .repeat = repeat<T>,
-          .pair_sums = pair_sums<T>,
-          .expand = expand<T>,
-          .expand_backward = expand_backward<T>};
-}
-template ResizeKernels<float> resize_kernels();
-template ResizeKernels<double> resize_kernels();
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf {
+
+template <class T>
+template <Isa isa>
+ResizeKernels<T> ResizeKernels<T>::compiled_for() {
+  return {.mix = here::mix<T>,
+          .between = here::between<T>,
+          .scaled = here::scaled<T>,
+          .repeat = here::repeat<T>,
+          .pair_sums = here::pair_sums<T>,
+          .expand = here::expand<T>,
+          .expand_backward = here::expand_backward<T>};
+}
+template ResizeKernels<float> ResizeKernels<float>::compiled_for<kIsa>();
+template ResizeKernels<double> ResizeKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf

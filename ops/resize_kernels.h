@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/shape.h"
 
 namespace satsurf {
@@ -26,19 +27,9 @@ struct ResizeKernels {
   /// The adjoint: d[i] = (3 (g[2 i] + g[2 i + 1]) + g[2 i - 1] + g[2 i + 2]) / 4; reads g[-1] and
   /// g[2 n]
   void (*expand_backward)(Index n, const T* g, bool accumulate, T* d);
-};
 
-namespace isa_baseline {
-template <class T>
-ResizeKernels<T> resize_kernels();
-}
-namespace isa_avx2 {
-template <class T>
-ResizeKernels<T> resize_kernels();
-}
-namespace isa_avx512 {
-template <class T>
-ResizeKernels<T> resize_kernels();
-}
+  template <Isa isa>
+  static ResizeKernels compiled_for();
+};
 
 }  // namespace satsurf

@@ -35,19 +35,17 @@ Normalised<T> normalise(const BasicTensor<T>& x, const BasicTensor<T>& valid, T 
   dim.match("x", x, "N H W");
   if (!valid.empty()) dim.match("valid", valid, "N H W");
   if (!(eps > 0))
-    throw ConfigError("robust_normalised: eps is " + std::to_string(static_cast<double>(eps)) +
+    throw ConfigError("robust_normalised: eps is " + std::to_string(eps) +
                       ", expected a positive number");
   const Index N = dim["N"], P = dim["H"] * dim["W"];
   const auto map_of = [P](const BasicTensor<T>& t, Index n) {
-    return t.empty() ? std::span<const T>()
-                     : std::span(t.data() + n * P, static_cast<std::size_t>(P));
+    return t.empty() ? std::span<const T>() : std::span(t.data() + n * P, P);
   };
-  Normalised<T> out{BasicTensor<T>::uninitialised(x.shape()),
-                    std::vector<T>(static_cast<std::size_t>(N))};
+  Normalised<T> out{BasicTensor<T>::uninitialised(x.shape()), std::vector<T>(N)};
   for_each_index(N, [&](Index n) {
     const RobustScale<T> scale = robust_scale(map_of(x, n), map_of(valid, n));
     const T slope = T(1) / (scale.mad + eps);
-    out.slope[static_cast<std::size_t>(n)] = slope;
+    out.slope[n] = slope;
     const T* from = x.data() + n * P;
     const T* counts = valid.empty() ? nullptr : valid.data() + n * P;
     T* to = out.value.data() + n * P;
@@ -97,7 +95,7 @@ BasicVar<T> robust_normalised(const BasicVar<T>& x, const BasicTensor<T>& valid,
     if (dx == nullptr) return;
     const Index N = n.grad.dim(0), P = n.grad.shape().count(1, 3);
     for_each_index(N, [&, dx](Index m) {
-      const T s = slope[static_cast<std::size_t>(m)];
+      const T s = slope[m];
       for (Index i = m * P; i < (m + 1) * P; ++i)
         dx[i] += valid.empty() || valid[i] != T(0) ? n.grad[i] * s : T(0);
     });

@@ -13,24 +13,14 @@
 namespace satsurf {
 namespace {
 
-/// body(b, first pixel, last pixel + 1) for runs of at most `most` pixels of one batch element.
-template <class Body>
-void each_run(Index B, Index P, Index most, const Body& body) {
-  const Index runs = (P + most - 1) / most;
-  for_each_index(B * runs, [&](Index r) {
-    const Index b = r / runs, begin = r % runs * most;
-    body(b, begin, std::min(P, begin + most));
-  });
-}
+/// body(b, first pixel, last pixel + 1) for runs of at most kSoftmaxPixels of one batch element.
 template <class Body>
 void each_run(Index B, Index P, const Body& body) {
-  each_run(B, P, kSoftmaxPixels, body);
-}
-
-/// Pixels of a run where hardly anything is kept from hypothesis to hypothesis: memory likes long
-/// ones, and threads like many.
-Index long_run(Index pixels) {
-  return std::clamp<Index>(pixels / 16 / kSoftmaxPixels, 1, 8) * kSoftmaxPixels;
+  const Index runs = (P + kSoftmaxPixels - 1) / kSoftmaxPixels;
+  for_each_index(B * runs, [&](Index r) {
+    const Index begin = r % runs * kSoftmaxPixels;
+    body(r / runs, begin, std::min(P, begin + kSoftmaxPixels));
+  });
 }
 
 /// `rows` rows of the calling thread's own, kept from one piece to the next.
@@ -42,60 +32,39 @@ T* tile_of(Index rows) {
   return tile.data();
 }
 
-/// Fills `out`, and the other two if there are heights.
+/// Fills probabilities p, expected heights and confidences.
 template <class T>
-void softmax_forward(const BasicTensor<T>& logits, const T* heights, T* out, T* height,
+void softmax_forward(const BasicTensor<T>& logits, const BasicTensor<T>& heights, T* p, T* height,
                      T* confidence) {
   const Index B = logits.dim(0), D = logits.dim(1), P = logits.dim(2) * logits.dim(3);
-  const auto forward = SATSURF_DISPATCH(softmax_kernels<T>)().forward;
+  const auto forward = active_kernels<SoftmaxKernels<T>>().forward;
   each_run(B, P, [&](Index b, Index begin, Index end) {
     const Index at = b * D * P + begin, pixel = b * P + begin;
-    if (heights == nullptr)
-      forward(D, P, end - begin, logits.data() + at, nullptr, out + at, nullptr, nullptr,
-              tile_of<T>(D + 3));
-    else
-      forward(D, P, end - begin, logits.data() + at, heights + at, out + at, height + pixel,
-              confidence + pixel, tile_of<T>(D + 3));
+    forward(D, P, end - begin, logits.data() + at, heights.data() + at, p + at, height + pixel,
+            confidence + pixel, tile_of<T>(D + 3));
   });
 }
 
 /// Fills of.d or adds to it; the pointers of `of` are to the first element of all.
 template <class T>
 void softmax_backward(Index B, Index D, Index P, const SoftmaxGradient<T>& of) {
-  const auto backward = SATSURF_DISPATCH(softmax_kernels<T>)().backward;
+  const auto backward = active_kernels<SoftmaxKernels<T>>().backward;
   each_run(B, P, [&](Index b, Index begin, Index end) {
     const Index at = b * D * P + begin, pixel = b * P + begin;
-    SoftmaxGradient<T> here{.p = of.p + at, .d = of.d + at, .accumulate = of.accumulate};
-    if (of.g != nullptr) here.g = of.g + at;
-    if (of.z != nullptr) {
-      here.z = of.z + at;
-      here.height = of.height + pixel;
-      here.confidence = of.confidence + pixel;
-      here.g_height = of.g_height + pixel;
-      here.g_confidence = of.g_confidence + pixel;
-    }
+    SoftmaxGradient<T> here = of;
+    here.p += at;
+    if (of.g != nullptr) here.g += at;
+    here.z += at;
+    here.height += pixel;
+    here.confidence += pixel;
+    here.g_height += pixel;
+    here.g_confidence += pixel;
+    here.d += at;
     backward(D, P, end - begin, here, tile_of<T>(2));
   });
 }
 
 }  // namespace
-
-template <class T>
-BasicVar<T> softmax_hypotheses(const BasicVar<T>& logits) {
-  Dims dim("softmax_hypotheses");
-  dim.match("logits", logits, "B D H W");
-  const Index B = dim["B"], D = dim["D"], P = dim["H"] * dim["W"];
-
-  auto out = BasicTensor<T>::uninitialised(logits.shape());
-  if (out.count() == 0) return BasicVar<T>(out);
-  softmax_forward<T>(logits.value(), nullptr, out.data(), nullptr, nullptr);
-  return BasicVar<T>::record("softmax_hypotheses", out, {logits}, [=](Node<T>& n) {
-    if (const auto d = n.grad_out(0))  // dL/dx_d = p_d (g_d - sum_k p_k g_k)
-      softmax_backward<T>(
-          B, D, P,
-          {.p = n.value.data(), .g = n.grad.data(), .d = d.data, .accumulate = d.accumulate});
-  });
-}
 
 template <class T>
 HeightDistribution<T> height_distribution(const BasicVar<T>& logits,
@@ -109,7 +78,7 @@ HeightDistribution<T> height_distribution(const BasicVar<T>& logits,
 
   auto p = BasicTensor<T>::uninitialised(logits.shape());
   auto z = BasicTensor<T>::uninitialised({B, H, W}), c = BasicTensor<T>::uninitialised({B, H, W});
-  softmax_forward<T>(logits.value(), heights.data(), p.data(), z.data(), c.data());
+  softmax_forward(logits.value(), heights, p.data(), z.data(), c.data());
 
   /// What the other two leave for height's backward.
   struct Gradients {
@@ -144,69 +113,6 @@ HeightDistribution<T> height_distribution(const BasicVar<T>& logits,
   return {leave("height_distribution.probability", p, &Gradients::probability), height,
           leave("height_distribution.confidence", c, &Gradients::confidence)};
 }
-
-template <class T>
-BasicVar<T> expected_height(const BasicVar<T>& probability, const BasicTensor<T>& heights) {
-  Dims dim("expected_height");
-  dim.match("probability", probability, "B D H W").match("heights", heights, "B D H W");
-  const Index B = dim["B"], D = dim["D"], H = dim["H"], W = dim["W"], P = H * W;
-
-  BasicTensor<T> out({B, H, W});
-  each_run(B, P, long_run(B * P), [&](Index b, Index begin, Index end) {
-    const T *p = probability.value().data() + b * D * P, *z = heights.data() + b * D * P;
-    T* y = out.data() + b * P;
-    for (Index d = 0; d < D; ++d)
-      for (Index i = begin; i < end; ++i) y[i] += p[d * P + i] * z[d * P + i];
-  });
-  return BasicVar<T>::record("expected_height", out, {probability}, [=](Node<T>& n) {
-    const GradientTarget<T> target = n.grad_out(0);
-    if (!target) return;
-    each_run(B, P, long_run(B * P), [&](Index b, Index begin, Index end) {
-      const T *g = n.grad.data() + b * P, *z = heights.data() + b * D * P;
-      T* to = target.data + b * D * P;
-      for (Index d = 0; d < D; ++d)
-        if (target.accumulate)
-          for (Index i = begin; i < end; ++i) to[d * P + i] += g[i] * z[d * P + i];
-        else
-          for (Index i = begin; i < end; ++i) to[d * P + i] = g[i] * z[d * P + i];
-    });
-  });
-}
-
-template <class T>
-BasicVar<T> max_probability(const BasicVar<T>& probability) {
-  Dims dim("max_probability");
-  dim.match("probability", probability, "B D H W");
-  const Index B = dim["B"], D = dim["D"], H = dim["H"], W = dim["W"], P = H * W;
-  if (D == 0)
-    throw ShapeError("max_probability: probability has shape " + probability.shape().str() +
-                     ", expected at least one hypothesis");
-
-  auto out = BasicTensor<T>::uninitialised({B, H, W});
-  auto first = BasicTensor<T>::uninitialised({B, H, W});  // the hypothesis that has it
-  const auto kernels = SATSURF_DISPATCH(softmax_kernels<T>)();
-  each_run(B, P, long_run(B * P), [&](Index b, Index begin, Index end) {
-    const Index pixel = b * P + begin;
-    kernels.maximum(D, P, end - begin, probability.value().data() + b * D * P + begin,
-                    out.data() + pixel, first.data() + pixel);
-  });
-  return BasicVar<T>::record("max_probability", out, {probability}, [=](Node<T>& n) {
-    const GradientTarget<T> d = n.grad_out(0);
-    if (!d) return;
-    each_run(B, P, long_run(B * P), [&](Index b, Index begin, Index end) {
-      const Index pixel = b * P + begin;
-      kernels.max_backward(D, P, end - begin, first.data() + pixel, n.grad.data() + pixel,
-                           d.accumulate, d.data + b * D * P + begin);
-    });
-  });
-}
-
-template BasicVar<float> softmax_hypotheses(const BasicVar<float>&);
-template BasicVar<double> softmax_hypotheses(const BasicVar<double>&);
-template BasicVar<float> expected_height(const BasicVar<float>&, const BasicTensor<float>&);
-template BasicVar<double> expected_height(const BasicVar<double>&, const BasicTensor<double>&);
-template BasicVar<float> max_probability(const BasicVar<float>&);
-template BasicVar<double> max_probability(const BasicVar<double>&);
 
 template HeightDistribution<float> height_distribution(const BasicVar<float>&,
                                                        const BasicTensor<float>&);

@@ -3,7 +3,7 @@
 
 #include "satsurf/ops/batch_kernels.h"
 
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 constexpr Index S = kSoftmaxRow;
@@ -170,54 +170,18 @@ void backward(Index D, Index stride, Index n, const SoftmaxGradient<T>& of, T* t
     backward<T, true, true>(D, stride, n, of, tile);
 }
 
-template <class T>
-void maximum(Index D, Index stride, Index n, const T* p, T* top, T* first) {
-  each_group(D, [&](auto planes, Index d) {
-    constexpr Index R = planes.kCount;
-    each_batch<T>(n, [&](Index i, Index k) {
-      const T* at = p + d * stride + i;
-      Batch<T> most = load(d == 0 ? at : top + i, k), which(T(0));
-      if (d > 0) which = load(first + i, k);
-#pragma GCC unroll 4
-      for (Index r = 0; r < R; ++r) {
-        const Batch<T> v = load(at + r * stride, k);
-        which = xsimd::select(v > most, Batch<T>(static_cast<T>(d + r)), which);
-        most = xsimd::max(v, most);
-      }
-      store(top + i, most, k);
-      store(first + i, which, k);
-    });
-  });
-}
-
-template <class T>
-void max_backward(Index D, Index stride, Index n, const T* first, const T* g, bool accumulate,
-                  T* d) {
-  const Batch<T> zero(T(0));
-  each_group(D, [&](auto planes, Index begin) {
-    constexpr Index R = planes.kCount;
-    each_batch<T>(n, [&](Index i, Index k) {
-      const Batch<T> which = load(first + i, k), all = load(g + i, k);
-#pragma GCC unroll 4
-      for (Index r = 0; r < R; ++r) {
-        T* to = d + (begin + r) * stride + i;
-        const auto own = xsimd::select(which == static_cast<T>(begin + r), all, zero);
-        store(to, accumulate ? load(to, k) + own : own, k);
-      }
-    });
-  });
-}
-
 }  // namespace
 
-template <class T>
-SoftmaxKernels<T> softmax_kernels() {
-  return {.forward = forward<T>,
-          .backward = backward<T>,
-          .maximum = maximum<T>,
-          .max_backward = max_backward<T>};
-}
-template SoftmaxKernels<float> softmax_kernels();
-template SoftmaxKernels<double> softmax_kernels();
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf {
+
+template <class T>
+template <Isa isa>
+SoftmaxKernels<T> SoftmaxKernels<T>::compiled_for() {
+  return {.forward = here::forward<T>, .backward = here::backward<T>};
+}
+template SoftmaxKernels<float> SoftmaxKernels<float>::compiled_for<kIsa>();
+template SoftmaxKernels<double> SoftmaxKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/shape.h"
 
 namespace satsurf {
@@ -37,24 +38,9 @@ struct SoftmaxKernels {
   /// and g_d is larger by g_confidence at the first maximum
   /// tile  [2 kSoftmaxRow]
   void (*backward)(Index D, Index stride, Index n, const SoftmaxGradient<T>& of, T* tile);
-  /// top = max_d p_d, first = the lowest d that has it
-  void (*maximum)(Index D, Index stride, Index n, const T* p, T* top, T* first);
-  /// d_d = g at plane `first`, 0 at the others; with `accumulate` that is added
-  void (*max_backward)(Index D, Index stride, Index n, const T* first, const T* g, bool accumulate,
-                       T* d);
-};
 
-namespace isa_baseline {
-template <class T>
-SoftmaxKernels<T> softmax_kernels();
-}
-namespace isa_avx2 {
-template <class T>
-SoftmaxKernels<T> softmax_kernels();
-}
-namespace isa_avx512 {
-template <class T>
-SoftmaxKernels<T> softmax_kernels();
-}
+  template <Isa isa>
+  static SoftmaxKernels compiled_for();
+};
 
 }  // namespace satsurf

@@ -14,7 +14,7 @@ namespace {
 
 constexpr Index kGrain = 1 << 14;
 
-/// d|e|, 0 at 0.
+/// The derivative of |e|, taken as 0 at 0.
 template <class T>
 T sign(T e) {
   return static_cast<T>((e > T(0)) - (e < T(0)));
@@ -81,13 +81,11 @@ MapScale normalise(const Maps<T>& maps, Index n, const T* x, const T* y,
   if (at == last) return {};
   // Sums of differences from one of the pixels: cancellation stays harmless, and where all are equal
   // the deviation is 0 to the last bit.
-  const auto px = static_cast<double>(x[at]), py = static_cast<double>(y[at]);
-  const Sums s = maps.template sum<Sums>(n, [=](Index i) {
-    return Sums{1, static_cast<double>(x[i]) - px, static_cast<double>(y[i]) - py};
-  });
+  const double px = x[at], py = y[at];
+  const Sums s = maps.template sum<Sums>(n, [=](Index i) { return Sums{1, x[i] - px, y[i] - py}; });
   const double mean_x = px + s.x / s.n, mean_y = py + s.y / s.n;
   const Sums d = maps.template sum<Sums>(n, [=](Index i) {
-    const double dx = static_cast<double>(x[i]) - mean_x, dy = static_cast<double>(y[i]) - mean_y;
+    const double dx = x[i] - mean_x, dy = y[i] - mean_y;
     return Sums{sign(dx), std::abs(dx), std::abs(dy)};
   });
   const double spread = d.y / s.n;
@@ -97,8 +95,7 @@ MapScale normalise(const Maps<T>& maps, Index n, const T* x, const T* y,
   for_range(maps.H, grain_rows(maps.W), [&](Index begin, Index end) {
     for (Index i = first + begin * maps.W; i < first + end * maps.W; ++i)
       if (maps.counts(i))
-        residual[i] = static_cast<T>((static_cast<double>(x[i]) - mean_x) * m.inverse -
-                                     (static_cast<double>(y[i]) - mean_y) * inverse_y);
+        residual[i] = static_cast<T>((x[i] - mean_x) * m.inverse - (y[i] - mean_y) * inverse_y);
   });
   return m;
 }
@@ -114,7 +111,7 @@ BasicVar<T> residual(const BasicVar<T>& x, const Maps<T>& maps, BasicTensor<T> v
     if (d == nullptr) return;
     const T *g = node.grad.data(), *at = node.in(0);
     for (Index n = 0; n < maps.N; ++n) {
-      const MapScale m = scales[static_cast<std::size_t>(n)];
+      const MapScale m = scales[n];
       if (m.n == 0) continue;
       struct Dots {
         double g = 0, gx = 0;
@@ -124,16 +121,15 @@ BasicVar<T> residual(const BasicVar<T>& x, const Maps<T>& maps, BasicTensor<T> v
         }
       };
       const Dots dots = maps.template sum<Dots>(n, [=](Index i) {
-        const auto up = static_cast<double>(g[i]);
-        return Dots{up, up * (static_cast<double>(at[i]) - m.mean)};
+        const double up = g[i];
+        return Dots{up, up * (at[i] - m.mean)};
       });
       const double mean_g = dots.g / m.n, by_spread = dots.gx * m.inverse * m.inverse / m.n;
       for_range(maps.H, grain_rows(maps.W), [&](Index begin, Index end) {
         for (Index i = (n * maps.H + begin) * maps.W; i < (n * maps.H + end) * maps.W; ++i)
           if (maps.counts(i))
-            d[i] +=
-                static_cast<T>((static_cast<double>(g[i]) - mean_g) * m.inverse -
-                               by_spread * (sign(static_cast<double>(at[i]) - m.mean) - m.excess));
+            d[i] += static_cast<T>((g[i] - mean_g) * m.inverse -
+                                   by_spread * (sign(at[i] - m.mean) - m.excess));
       });
     }
   };
@@ -148,7 +144,7 @@ BasicVar<T> mean_distance(const BasicVar<T>& R, const Maps<T>& maps,
   std::vector<double> weights;
   double total = 0;
   for (Index n = 0; n < maps.N; ++n) {
-    const double pixels = scales[static_cast<std::size_t>(n)].n;
+    const double pixels = scales[n].n;
     weights.push_back(pixels > 0 ? 1 / (pixels * static_cast<double>(count)) : 0);
     if (pixels > 0)
       total += weights.back() * maps.template sum<double>(n, [r](Index i) {
@@ -162,8 +158,7 @@ BasicVar<T> mean_distance(const BasicVar<T>& R, const Maps<T>& maps,
                                const T* of = node.in(0);
                                const Index P = maps.H * maps.W;
                                for (Index n = 0; n < maps.N; ++n) {
-                                 const T w = static_cast<T>(static_cast<double>(node.grad[0]) *
-                                                            weights[static_cast<std::size_t>(n)]);
+                                 const T w = static_cast<T>(node.grad[0] * weights[n]);
                                  for_range(P, kGrain, [&](Index begin, Index end) {
                                    for (Index i = n * P + begin; i < n * P + end; ++i)
                                      if (maps.counts(i)) d[i] += w * sign(of[i]);
@@ -227,7 +222,7 @@ BasicVar<T> mean_gradient(const BasicVar<T>& R, const Maps<T>& maps,
   std::vector<Weight> weights;
   double total = 0;
   for (Index n = 0; n < maps.N; ++n) {
-    if (scales[static_cast<std::size_t>(n)].n == 0) continue;
+    if (scales[n].n == 0) continue;
     for (Index k = 0; k < levels; ++k) {
       const Pairs<T> pairs{maps, n, Index{1} << k};
       const Mean right = pairs.mean(R.value().data(), false),
@@ -241,7 +236,7 @@ BasicVar<T> mean_gradient(const BasicVar<T>& R, const Maps<T>& maps,
                              [maps, weights](Node<T>& node) {
                                T* d = node.grad_in(0);
                                if (d == nullptr) return;
-                               const auto g = static_cast<double>(node.grad[0]);
+                               const double g = node.grad[0];
                                for (const Weight& w : weights)
                                  Pairs<T>{maps, w.n, w.step}.backward(
                                      node.in(0), static_cast<T>(g * w.right),

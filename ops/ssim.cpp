@@ -25,28 +25,26 @@ SsimTerms<T> terms_of(SsimKind kind) {
   double total = -1;  // the centre is counted twice below
   for (Index r = 0; r <= R; ++r) {
     const double w = std::exp(-0.5 * static_cast<double>(r * r) / (kSigma * kSigma));
-    weight[static_cast<std::size_t>(r)] = w;
+    weight[r] = w;
     total += 2 * w;
   }
   constexpr double kCells = kSsimWindow * kSsimWindow;
   SsimTerms<T> terms{};
-  for (Index r = 0; r <= R; ++r)
-    terms.window[r] = static_cast<T>(weight[static_cast<std::size_t>(r)] / total);
+  for (Index r = 0; r <= R; ++r) terms.window[r] = static_cast<T>(weight[r] / total);
   terms.covariance = static_cast<T>(kind == SsimKind::skimage ? kCells / (kCells - 1) : 1);
   terms.c1 = static_cast<T>(kC1);
   terms.c2 = static_cast<T>(kC2);
   return terms;
 }
 
-/// Rows of zeros but for what is written at [kPad, kPad + n), the calling thread's own.
+/// Five rows of n elements with kPad zeros on either side, which belong to the calling thread.
 template <class T>
 std::array<T*, 5> padded_rows(Index n) {
   thread_local std::vector<T> buffer;
   const Index stride = n + 2 * kPad;
-  buffer.assign(static_cast<std::size_t>(5 * stride), T(0));
+  buffer.assign(5 * stride, T(0));
   std::array<T*, 5> rows{};
-  for (std::size_t k = 0; k < rows.size(); ++k)
-    rows[k] = buffer.data() + static_cast<Index>(k) * stride + kPad;
+  for (std::size_t k = 0; k < rows.size(); ++k) rows[k] = buffer.data() + k * stride + kPad;
   return rows;
 }
 
@@ -57,7 +55,7 @@ std::array<const T*, kSsimWindow> window_rows(const T* plane, Index H, Index W, 
   std::array<const T*, kSsimWindow> rows{};
   for (Index r = 0; r < kSsimWindow; ++r) {
     const Index at = i + r - R;
-    rows[static_cast<std::size_t>(r)] = at >= 0 && at < H ? plane + at * W : nothing;
+    rows[r] = at >= 0 && at < H ? plane + at * W : nothing;
   }
   return rows;
 }
@@ -87,8 +85,8 @@ struct Planes {
                        ", expected H and W of at least 11, the window; or SsimKind::conv");
     top = left = kind == SsimKind::skimage ? R : 0;
     map_H = H - 2 * top, map_W = W - 2 * left;
-    ones.assign(static_cast<std::size_t>(W), T(1));
-    zeros.assign(static_cast<std::size_t>(W), T(0));
+    ones.assign(W, T(1));
+    zeros.assign(W, T(0));
   }
 
   /// Row `i` of the mask of plane `p`.
@@ -126,7 +124,7 @@ BasicVar<T> ssim(const BasicVar<T>& x, const BasicTensor<T>& reference, SsimKind
                  const BasicTensor<T>& mask) {
   const Planes<T> at(x.shape(), reference.shape(), mask, kind);
   const SsimTerms<T> terms = terms_of<T>(kind);
-  const auto kernels = SATSURF_DISPATCH(ssim_kernels<T>)();
+  const auto& kernels = active_kernels<SsimKernels<T>>();
   const Index map = at.map_H * at.map_W;
   std::array<BasicTensor<T>, 3> slopes;  // by the filtered x, x^2 and x y
   const bool recorded = x.wants_grad() && !NoGrad::active();
@@ -161,7 +159,7 @@ BasicVar<T> ssim(const BasicVar<T>& x, const BasicTensor<T>& reference, SsimKind
   return BasicVar<T>::record("ssim", out, {x}, [=](Node<T>& n) {
     T* dx = n.grad_in(0);
     if (dx == nullptr || pixels == 0) return;
-    const T factor = static_cast<T>(static_cast<double>(n.grad[0]) / pixels);
+    const T factor = static_cast<T>(n.grad[0] / pixels);
     for_range(at.planes * at.H, kRows, [&](Index begin, Index end) {
       const std::array<T*, 5> filtered = padded_rows<T>(at.map_W);
       const std::array<const T*, 3> shifted{filtered[0] - at.left, filtered[1] - at.left,

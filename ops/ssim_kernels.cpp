@@ -3,7 +3,7 @@
 
 #include "satsurf/ops/batch_kernels.h"
 
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 constexpr Index R = kSsimRadius;
@@ -109,11 +109,19 @@ void gather(const SsimTerms<T>& terms, const T* const* filtered, const T* x, con
 
 }  // namespace
 
-template <class T>
-SsimKernels<T> ssim_kernels() {
-  return {.moments = moments<T>, .compare = compare<T>, .down = down<T>, .gather = gather<T>};
-}
-template SsimKernels<float> ssim_kernels();
-template SsimKernels<double> ssim_kernels();
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf {
+
+template <class T>
+template <Isa isa>
+SsimKernels<T> SsimKernels<T>::compiled_for() {
+  return {.moments = here::moments<T>,
+          .compare = here::compare<T>,
+          .down = here::down<T>,
+          .gather = here::gather<T>};
+}
+template SsimKernels<float> SsimKernels<float>::compiled_for<kIsa>();
+template SsimKernels<double> SsimKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf

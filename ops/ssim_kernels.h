@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/shape.h"
 
 namespace satsurf {
@@ -37,19 +38,9 @@ struct SsimKernels {
   ///   d += factor (F0 + 2 x F1 + y F2)
   void (*gather)(const SsimTerms<T>& terms, const T* const* filtered, const T* x, const T* y,
                  const T* counts, T factor, Index n, T* d);
-};
 
-namespace isa_baseline {
-template <class T>
-SsimKernels<T> ssim_kernels();
-}
-namespace isa_avx2 {
-template <class T>
-SsimKernels<T> ssim_kernels();
-}
-namespace isa_avx512 {
-template <class T>
-SsimKernels<T> ssim_kernels();
-}
+  template <Isa isa>
+  static SsimKernels compiled_for();
+};
 
 }  // namespace satsurf

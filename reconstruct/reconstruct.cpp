@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/reconstruct/reconstruct.h"
 
+#include "satsurf/core/block_pool.h"
 #include "satsurf/core/memory.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/surfel_head.h"

@@ -9,8 +9,8 @@
 namespace satsurf::splat {
 namespace {
 
-constexpr Index kPiece = 16384;     // items per piece of a counting sort
-constexpr std::size_t kAhead = 16;  // items by which memory is fetched earlier than it is needed
+constexpr Index kPiece = 16384;  // items per piece of a counting sort
+constexpr Index kAhead = 16;     // items by which memory is fetched earlier than it is needed
 
 /// Stable parallel counting sort in which an item may fall into any number of buckets.
 ///   visit(i, f)    calls f(bucket) for each bucket of item i
@@ -20,26 +20,24 @@ constexpr std::size_t kAhead = 16;  // items by which memory is fetched earlier 
 template <class Visit, class Allocate, class Place>
 std::vector<Index> counting_sort(Index items, Index buckets, const Visit& visit,
                                  const Allocate& allocate, const Place& place) {
-  const auto at = [&](Index piece, Index bucket) {
-    return static_cast<std::size_t>(piece * buckets + bucket);
-  };
+  const auto at = [&](Index piece, Index bucket) { return piece * buckets + bucket; };
   const Index pieces = (items + kPiece - 1) / kPiece;
-  std::vector<Index> next(static_cast<std::size_t>(pieces * buckets));
+  std::vector<Index> next(pieces * buckets);
   for_range(items, kPiece, [&](Index begin, Index end) {
     Index* count = next.data() + at(begin / kPiece, 0);
     for (Index i = begin; i < end; ++i) visit(i, [&](Index bucket) { ++count[bucket]; });
   });
-  std::vector<Index> first(static_cast<std::size_t>(buckets + 1));
+  std::vector<Index> first(buckets + 1);
   Index total = 0;
   for (Index b = 0; b < buckets; ++b) {
-    first[static_cast<std::size_t>(b)] = total;
+    first[b] = total;
     for (Index p = 0; p < pieces; ++p) {
       const Index n = next[at(p, b)];
       next[at(p, b)] = total;
       total += n;
     }
   }
-  first[static_cast<std::size_t>(buckets)] = total;
+  first[buckets] = total;
   allocate(total);
   for_range(items, kPiece, [&](Index begin, Index end) {
     Index* where = next.data() + at(begin / kPiece, 0);
@@ -71,8 +69,7 @@ std::vector<std::int32_t> front_to_back(const std::vector<Box>& boxes, const T* 
   items.reserve(boxes.size());
   for (std::size_t i = 0; i < boxes.size(); ++i)
     if (boxes[i].x1 >= boxes[i].x0)
-      items.push_back(
-          {descending_key(heights[static_cast<Index>(i) * stride]), static_cast<std::int32_t>(i)});
+      items.push_back({descending_key(heights[i * stride]), static_cast<std::int32_t>(i)});
 
   // Least significant digit first; bits in which all keys agree need no pass.
   Key differ = 0;
@@ -84,14 +81,9 @@ std::vector<std::int32_t> front_to_back(const std::vector<Box>& boxes, const T* 
     constexpr Key kMask = (Key{1} << kDigit) - 1;
     if (((differ >> shift) & kMask) == 0) continue;
     counting_sort(
-        static_cast<Index>(items.size()), Index{1} << kDigit,
-        [&](Index i, auto&& f) {
-          f(static_cast<Index>((items[static_cast<std::size_t>(i)].key >> shift) & kMask));
-        },
-        [](Index) {},
-        [&](Index i, Index at) {
-          sorted[static_cast<std::size_t>(at)] = items[static_cast<std::size_t>(i)];
-        });
+        std::ssize(items), Index{1} << kDigit,
+        [&](Index i, auto&& f) { f(static_cast<Index>((items[i].key >> shift) & kMask)); },
+        [](Index) {}, [&](Index i, Index at) { sorted[at] = items[i]; });
     items.swap(sorted);
   }
   std::vector<std::int32_t> order(items.size());
@@ -105,20 +97,16 @@ TileLists bin(const std::vector<Box>& boxes, const std::vector<std::int32_t>& or
   out.columns = (width + kTile - 1) / kTile;
   out.rows = (height + kTile - 1) / kTile;
   out.first = counting_sort(
-      static_cast<Index>(order.size()), out.rows * out.columns,
+      std::ssize(order), out.rows * out.columns,
       [&](Index i, auto&& f) {
-        const auto rank = static_cast<std::size_t>(i);
         // By height, the boxes lie all over memory.
-        if (rank + kAhead < order.size()) __builtin_prefetch(boxes.data() + order[rank + kAhead]);
-        const auto surfel = static_cast<std::size_t>(order[rank]);
-        const TileSpan span = tiles_of(boxes[surfel]);
+        if (i + kAhead < std::ssize(order)) __builtin_prefetch(boxes.data() + order[i + kAhead]);
+        const TileSpan span = tiles_of(boxes[order[i]]);
         for (Index y = span.y0; y < span.y1; ++y)
           for (Index x = span.x0; x < span.x1; ++x) f(y * out.columns + x);
       },
-      [&](Index total) { out.surfels.resize(static_cast<std::size_t>(total)); },
-      [&](Index i, Index at) {
-        out.surfels[static_cast<std::size_t>(at)] = order[static_cast<std::size_t>(i)];
-      });
+      [&](Index total) { out.surfels.resize(total); },
+      [&](Index i, Index at) { out.surfels[at] = order[i]; });
   return out;
 }
 

@@ -36,9 +36,7 @@ struct TileLists {
   Index columns = 0, rows = 0;
   std::vector<Index> first;           ///< [rows*columns + 1] where each tile's list begins
   std::vector<std::int32_t> surfels;  ///< all lists, one behind the other
-  Index count(Index tile) const {
-    return first[static_cast<std::size_t>(tile + 1)] - first[static_cast<std::size_t>(tile)];
-  }
+  Index count(Index tile) const { return first[tile + 1] - first[tile]; }
 };
 
 /// Indices of the surfels with a box, by descending height; equal heights keep their order. On a

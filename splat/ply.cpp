@@ -68,7 +68,8 @@ class Reader {
       if (found != properties_.end())
         column[n] = static_cast<std::size_t>(found - properties_.begin());
       const bool optional = n == kThird || (n >= kNormal && n < kColour);
-      if (!column[n] && !optional) fail(std::string("property ") + kNames[n] + " is missing");
+      if (!column[n] && !optional)
+        fail(std::string("property ") + kNames[n] + " is missing, expected all of a splat's");
     }
     const auto at = static_cast<std::uintmax_t>(in_.tellg());
     const std::uintmax_t want = count_ * properties_.size() * sizeof(float);
@@ -88,15 +89,14 @@ class Reader {
                     static_cast<std::streamsize>(row.size() * sizeof(float))))
         fail("vertex " + std::to_string(p) + " cannot be read");
       const auto value = [&](std::size_t property) {
-        const double v = static_cast<double>(row[*column[property]]);
+        const double v = row[*column[property]];
         if (!std::isfinite(v))
           fail(std::string("property ") + kNames[property] + " of vertex " + std::to_string(p) +
                " is " + std::to_string(v) + ", expected a finite number");
         return v;
       };
       const auto fill = [&](Tensor& t, Index n, std::size_t first, auto&& meaning) {
-        for (Index i = 0; i < n; ++i)
-          t[p * n + i] = static_cast<float>(meaning(value(first + static_cast<std::size_t>(i))));
+        for (Index i = 0; i < n; ++i) t[p * n + i] = static_cast<float>(meaning(value(first + i)));
       };
       fill(means, 3, kMean, [](double v) { return v; });
       fill(quats, 4, kQuat, [](double v) { return v; });
@@ -176,7 +176,8 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
   };
   for (const Var* v :
        {&surfels.means, &surfels.quats, &surfels.scales, &surfels.opacity, &surfels.colours})
-    if (v->empty()) throw ShapeError("write_ply: a tensor of the surfels is missing");
+    if (v->empty())
+      throw ShapeError("write_ply: a tensor of the surfels is missing, expected all but aux");
   Dims dim("write_ply");
   dim.match("means", surfels.means, "P 3")
       .match("quats", surfels.quats, "P 4")
@@ -199,9 +200,7 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
   std::array<float, kNames.size()> row{};
   bytes.reserve(bytes.size() + static_cast<std::size_t>(P) * sizeof(row));
   for (Index p = 0; p < P; ++p) {
-    const auto at = [&](const Var& v, Index n, Index i) {
-      return static_cast<double>(v.value()[p * n + i]);
-    };
+    const auto at = [&](const Var& v, Index n, Index i) { return v.value()[p * n + i]; };
     const auto put = [&](std::size_t property, double v) {
       if (!std::isfinite(v))
         fail(std::string("property ") + kNames[property] + " of surfel " + std::to_string(p) +
@@ -215,11 +214,10 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
     put(kNormal + 1, 2 * (q[2] * q[3] - q[0] * q[1]));
     put(kNormal + 2, 1 - 2 * (q[1] * q[1] + q[2] * q[2]));
     for (std::size_t i = 0; i < 3; ++i) {
-      put(kMean + i, at(surfels.means, 3, static_cast<Index>(i)));
-      put(kColour + i, (at(surfels.colours, 3, static_cast<Index>(i)) - 0.5) / kDegreeZero);
+      put(kMean + i, at(surfels.means, 3, i));
+      put(kColour + i, (at(surfels.colours, 3, i) - 0.5) / kDegreeZero);
     }
-    for (std::size_t i = 0; i < 2; ++i)
-      put(kScale + i, std::log(at(surfels.scales, 2, static_cast<Index>(i))));
+    for (std::size_t i = 0; i < 2; ++i) put(kScale + i, std::log(at(surfels.scales, 2, i)));
     put(kThird, std::log(kThickness));
     const double o = at(surfels.opacity, 1, 0);
     if (!(o >= 0 && o <= 1))

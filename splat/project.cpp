@@ -21,10 +21,9 @@ BasicProjection<T> project(const BasicTensor<T>& means, const Quadratic& pixel_f
       const auto pixel = pixel_from_local(x, y, z);
       const auto jacobian = pixel_from_local.jacobian(x, y, z);
       for (std::size_t k = 0; k < 2; ++k) {
-        const Index row = 2 * p + static_cast<Index>(k);
+        const Index row = 2 * p + k;
         pixels[row] = static_cast<T>(pixel[k]);
-        for (std::size_t c = 0; c < 3; ++c)
-          jacobians[3 * row + static_cast<Index>(c)] = static_cast<T>(jacobian[k][c]);
+        for (std::size_t c = 0; c < 3; ++c) jacobians[3 * row + c] = static_cast<T>(jacobian[k][c]);
       }
     }
   });

@@ -7,6 +7,7 @@
 #include "satsurf/ops/concat.h"
 #include "satsurf/splat/bin.h"
 #include "satsurf/splat/rasterize_kernels.h"
+#include "satsurf/splat/surfel_kernels.h"
 
 #include <limits>
 #include <memory>
@@ -26,11 +27,10 @@ struct Saved {
   std::vector<Box> boxes;
   TileLists tiles;
   Scene<T> scene;
-  Kernels<T> kernels;
 
   TileJob job(Index tile) const {
     return {tile % tiles.columns * kTile, tile / tiles.columns * kTile,
-            tiles.surfels.data() + tiles.first[static_cast<std::size_t>(tile)], tiles.count(tile)};
+            tiles.surfels.data() + tiles.first[tile], tiles.count(tile)};
   }
 };
 
@@ -43,7 +43,8 @@ void check(const BasicSurfels<T>& s, const BasicProjection<T>& projection,
                                                                {"opacity", &s.opacity},
                                                                {"colours", &s.colours}};
   for (const auto& [name, value] : needed)
-    if (value->empty()) throw ShapeError(std::string("rasterize: ") + name + " is missing");
+    if (value->empty())
+      throw ShapeError(std::string("rasterize: ") + name + " is missing, expected all but aux");
   Dims dim("rasterize");
   dim.match("means", s.means, "P 3")
       .match("quats", s.quats, "P 4")
@@ -74,15 +75,15 @@ std::vector<Index> slots_of(const std::vector<Box>& boxes) {
 
 template <class T>
 void backward(const Saved<T>& saved, Node<T>& n) {
-  const Index K = saved.scene.aux_channels, P = static_cast<Index>(saved.boxes.size());
+  const Index K = saved.scene.aux_channels, P = std::ssize(saved.boxes);
   const std::vector<Index> first_slot = slots_of(saved.boxes);
   auto slots = BasicTensor<T>::uninitialised({first_slot.back(), kSlot + K});
   const T* g = n.grad.data();
   for_each_index(saved.tiles.rows * saved.tiles.columns, [&](Index tile) {
     if (saved.tiles.count(tile) == 0) return;
     auto scratch = BasicTensor<T>::uninitialised({kBackwardPlanes + 2 * K, kTile, kTile});
-    saved.kernels.backward(saved.scene, saved.job(tile), n.value.data(), g, first_slot.data(),
-                           scratch.data(), slots.data());
+    active_kernels<TileKernels<T>>().backward(saved.scene, saved.job(tile), n.value.data(), g,
+                                              first_slot.data(), scratch.data(), slots.data());
   });
   const SurfelArrays<T> in{n.in(0),
                            n.in(1),
@@ -96,7 +97,7 @@ void backward(const Saved<T>& saved, Node<T>& n) {
   const SurfelGradients<T> out{n.grad_in(0), n.grad_in(1), n.grad_in(2),
                                n.grad_in(3), n.grad_in(4), n.grad_in(5)};
   for_range(P, kSurfelGrain, [&](Index begin, Index end) {
-    saved.kernels.gather(in, first_slot.data(), slots.data(), begin, end, out);
+    active_kernels<SurfelKernels<T>>().gather(in, first_slot.data(), slots.data(), begin, end, out);
   });
 }
 
@@ -110,9 +111,8 @@ BasicRender<T> rasterize(const BasicSurfels<T>& surfels, const BasicProjection<T
   const Index H = options.height, W = options.width;
 
   const auto saved = std::make_shared<Saved<T>>();
-  saved->kernels = SATSURF_DISPATCH(splat_kernels<T>)();
   saved->records = BasicTensor<T>::uninitialised({P, kRecord});
-  saved->boxes.resize(static_cast<std::size_t>(P));
+  saved->boxes.resize(P);
   saved->jacobians = projection.jacobians;
   saved->pixels = projection.pixels;
   if (K > 0) saved->aux = surfels.aux.value();
@@ -130,8 +130,8 @@ BasicRender<T> rasterize(const BasicSurfels<T>& surfels, const BasicProjection<T
       surfels.opacity.value().data(), surfels.colours.value().data(), saved->aux.data(),
       saved->pixels.data(),           saved->jacobians.data(),        K};
   for_range(P, kSurfelGrain, [&](Index begin, Index end) {
-    saved->kernels.prepare(in, H, W, options.smooth_cutoffs, begin, end, saved->records.data(),
-                           saved->boxes.data());
+    active_kernels<SurfelKernels<T>>().prepare(in, H, W, options.smooth_cutoffs, begin, end,
+                                               saved->records.data(), saved->boxes.data());
   });
   saved->tiles = bin(saved->boxes,
                      front_to_back(saved->boxes, saved->records.data() + kHeight, kRecord), H, W);
@@ -141,8 +141,8 @@ BasicRender<T> rasterize(const BasicSurfels<T>& surfels, const BasicProjection<T
   out.median_height = BasicTensor<T>::uninitialised({H, W});
   for_each_index(saved->tiles.rows * saved->tiles.columns, [&](Index tile) {
     auto scratch = BasicTensor<T>::uninitialised({kForwardPlanes + K, kTile, kTile});
-    saved->kernels.forward(saved->scene, saved->job(tile), scratch.data(), maps.data(),
-                           out.median_height.data());
+    active_kernels<TileKernels<T>>().forward(saved->scene, saved->job(tile), scratch.data(),
+                                             maps.data(), out.median_height.data());
   });
 
   const auto packed = BasicVar<T>::record(

@@ -2,11 +2,7 @@
 #include "satsurf/splat/rasterize_kernels.h"
 
 #include "satsurf/core/simd.h"
-#include "satsurf/splat/surfel_kernels.h"
-
-#include <utility>
-
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 using splat::Box;
@@ -110,9 +106,9 @@ struct Blend {
     raw = xsimd::exp(exponent);
     alpha = xsimd::min(raw, B(cut.alpha_max));
     next = xsimd::fnma(alpha, transmittance, transmittance);
-    const auto seen = (alpha >= B(cut.alpha_min)) & (transmittance > B(T(0)));
-    takes = seen & (next >= B(cut.transmittance_min));
-    stops = seen & (next < B(cut.transmittance_min));
+    const auto contributes = (alpha >= B(cut.alpha_min)) & (transmittance > B(T(0)));
+    takes = contributes & (next >= B(cut.transmittance_min));
+    stops = contributes & (next < B(cut.transmittance_min));
     weight = xsimd::select(takes, alpha * transmittance, B(T(0)));
   }
 };
@@ -349,14 +345,6 @@ void start_backward(const Scene<T>& scene, const TileJob& tile, const T* maps, c
   }
 }
 
-/// The first half of a and b interleaved, or the second.
-template <class T, Index First, std::size_t... I>
-inline Batch<T> interleave(const Batch<T>& a, const Batch<T>& b, std::index_sequence<I...>) {
-  return Batch<T>(__builtin_shufflevector(
-      a.data, b.data,
-      static_cast<int>(First + I / 2 + (I % 2) * static_cast<std::size_t>(kLanes<T>))...));
-}
-
 /// Lane l of the result is the sum of the lanes of rows[l * Stride], l < N, repeated for N <
 /// kLanes.
 template <class T, Index N, Index Stride = 1>
@@ -366,8 +354,7 @@ inline Batch<T> transpose_sum(const Batch<T>* rows) {
   } else {
     const Batch<T> even = transpose_sum<T, N / 2, 2 * Stride>(rows);
     const Batch<T> odd = transpose_sum<T, N / 2, 2 * Stride>(rows + Stride);
-    constexpr auto lanes = std::make_index_sequence<static_cast<std::size_t>(kLanes<T>)>();
-    return interleave<T, 0>(even, odd, lanes) + interleave<T, kLanes<T> / 2>(even, odd, lanes);
+    return interleave_low(even, odd) + interleave_high(even, odd);
   }
 }
 
@@ -478,12 +465,16 @@ void backward(const Scene<T>& scene, const TileJob& tile, const T* maps, const T
 }
 
 }  // namespace
+}  // namespace satsurf::SATSURF_KERNEL_ISA
+
+namespace satsurf::splat {
 
 template <class T>
-splat::Kernels<T> splat_kernels() {
-  return {&prepare_surfels<T>, &forward<T>, &backward<T>, &gather_surfels<T>};
+template <Isa isa>
+TileKernels<T> TileKernels<T>::compiled_for() {
+  return {.forward = here::forward<T>, .backward = here::backward<T>};
 }
-template splat::Kernels<float> splat_kernels();
-template splat::Kernels<double> splat_kernels();
+template TileKernels<float> TileKernels<float>::compiled_for<kIsa>();
+template TileKernels<double> TileKernels<double>::compiled_for<kIsa>();
 
-}  // namespace satsurf::SATSURF_ISA_NS
+}  // namespace satsurf::splat

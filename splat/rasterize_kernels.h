@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/splat/bin.h"
 
 #include <cstdint>
@@ -46,20 +47,6 @@ inline constexpr double kAlphaMax = 0.99;
 inline constexpr double kTransmittanceMin = 1e-4;
 /// Expected heights divide by at least this much opacity.
 inline constexpr double kOpacityFloor = 1e-6;
-/// Surfels seen closer to edge-on than this are left out, px^2.
-inline constexpr double kDetMin = 1e-8;
-
-/// The tensors of BasicSurfels and BasicProjection as plain pointers.
-template <class T>
-struct SurfelArrays {
-  const T *means, *quats, *scales, *opacity, *colours, *aux, *pixels, *jacobians;
-  Index aux_channels;  ///< K
-};
-/// Where to add gradients; nullptr where nobody wants them.
-template <class T>
-struct SurfelGradients {
-  T *means, *quats, *scales, *opacity, *colours, *aux;
-};
 
 /// What all tiles of one image share.
 template <class T>
@@ -83,34 +70,18 @@ struct TileJob {
 /// auxiliary channel (the backward pass: two per channel).
 inline constexpr Index kForwardPlanes = 10, kBackwardPlanes = 11;
 
-/// The kernels of one instruction set.
+/// The passes over the pixels of one tile, for one instruction set.
 template <class T>
-struct Kernels {
-  /// Records and boxes of surfels begin..end-1.
-  void (*prepare)(const SurfelArrays<T>& in, Index height, Index width, bool smooth, Index begin,
-                  Index end, T* records, Box* boxes);
+struct TileKernels {
   /// Fills the tile's part of maps [kMaps+K H W] and median [H W].
   void (*forward)(const Scene<T>& scene, const TileJob& tile, T* scratch, T* maps, T* median);
   /// Fills the slot of every entry of the tile, kSlot + K numbers each. The slot of a surfel in
   /// this tile is number first_slot[surfel] + rank of the tile within the surfel's box.
   void (*backward)(const Scene<T>& scene, const TileJob& tile, const T* maps, const T* g,
                    const Index* first_slot, T* scratch, T* slots);
-  /// Sums the slots of surfels begin..end-1 in order and adds their gradients.
-  void (*gather)(const SurfelArrays<T>& in, const Index* first_slot, const T* slots, Index begin,
-                 Index end, const SurfelGradients<T>& out);
+
+  template <Isa isa>
+  static TileKernels compiled_for();
 };
 
 }  // namespace satsurf::splat
-
-namespace satsurf::isa_baseline {
-template <class T>
-splat::Kernels<T> splat_kernels();
-}
-namespace satsurf::isa_avx2 {
-template <class T>
-splat::Kernels<T> splat_kernels();
-}
-namespace satsurf::isa_avx512 {
-template <class T>
-splat::Kernels<T> splat_kernels();
-}

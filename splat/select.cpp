@@ -10,11 +10,10 @@ namespace {
 
 /// Rows of `t` ([P ...]) named by `keep`.
 Tensor rows_of(const Tensor& t, const std::vector<Index>& keep) {
-  const Index n = static_cast<Index>(keep.size()), width = t.dim(0) > 0 ? t.count() / t.dim(0) : 0;
+  const Index n = std::ssize(keep), width = t.dim(0) > 0 ? t.count() / t.dim(0) : 0;
   auto out = Tensor::uninitialised(t.shape().with(0, n));
   for (Index i = 0; i < n; ++i)
-    std::copy_n(t.data() + keep[static_cast<std::size_t>(i)] * width, width,
-                out.data() + i * width);
+    std::copy_n(t.data() + keep[i] * width, width, out.data() + i * width);
   return out;
 }
 

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/splat/surfel_kernels.h"
 
-namespace satsurf::SATSURF_ISA_NS {
+#include "satsurf/core/simd.h"
+
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 using splat::Box;
@@ -263,29 +265,31 @@ void gather_lanes(const SurfelArrays<T>& in, const Index* first_slot, const T* s
   add_rows(quat_grad, first_slot, first, count, out.quats);
 }
 
-}  // namespace
-
 template <class T>
-void prepare_surfels(const SurfelArrays<T>& in, Index height, Index width, bool smooth, Index begin,
-                     Index end, T* records, Box* boxes) {
+void prepare(const SurfelArrays<T>& in, Index height, Index width, bool smooth, Index begin,
+             Index end, T* records, Box* boxes) {
   for (Index p = begin; p < end; p += kLanes<T>)
     prepare_lanes(in, height, width, smooth, p, at_most(end - p, kLanes<T>), records, boxes);
 }
 
 template <class T>
-void gather_surfels(const SurfelArrays<T>& in, const Index* first_slot, const T* slots, Index begin,
-                    Index end, const SurfelGradients<T>& out) {
+void gather(const SurfelArrays<T>& in, const Index* first_slot, const T* slots, Index begin,
+            Index end, const SurfelGradients<T>& out) {
   for (Index p = begin; p < end; p += kLanes<T>)
     gather_lanes(in, first_slot, slots, p, at_most(end - p, kLanes<T>), out);
 }
 
-template void prepare_surfels(const SurfelArrays<float>&, Index, Index, bool, Index, Index, float*,
-                              Box*);
-template void prepare_surfels(const SurfelArrays<double>&, Index, Index, bool, Index, Index,
-                              double*, Box*);
-template void gather_surfels(const SurfelArrays<float>&, const Index*, const float*, Index, Index,
-                             const SurfelGradients<float>&);
-template void gather_surfels(const SurfelArrays<double>&, const Index*, const double*, Index, Index,
-                             const SurfelGradients<double>&);
+}  // namespace
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf::splat {
+
+template <class T>
+template <Isa isa>
+SurfelKernels<T> SurfelKernels<T>::compiled_for() {
+  return {.prepare = here::prepare<T>, .gather = here::gather<T>};
+}
+template SurfelKernels<float> SurfelKernels<float>::compiled_for<kIsa>();
+template SurfelKernels<double> SurfelKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf::splat

@@ -15,7 +15,7 @@ set(may_evaluate ${may_scene} reconstruct train evaluate)
 set(may_app ${may_evaluate} app)
 set(may_bench ${may_nn} bench)
 # Headers that users of the libraries do not get: the same as in install() of CMakeLists.txt.
-set(internal "_kernels\\.h$|^core/(simd|fields_json)\\.h$|^ops/conv/(engine|slab|winograd|kernels|row_kernels)\\.h$|^splat/bin\\.h$|^rpc/(gdal|raster|read)\\.h$")
+set(internal "_kernels\\.h$|^core/(simd|fields_json)\\.h$|^ops/conv/(engine|axes|slab|weights|winograd|kernels|row_kernels)\\.h$|^splat/bin\\.h$|^rpc/(gdal|raster|read)\\.h$")
 set(readers rpc/gdal.h rpc/read.cpp rpc/read_info.cpp rpc/read_rpc.cpp rpc/raster.cpp)  # the only ones that know GDAL
 
 cmake_minimum_required(VERSION 3.25)

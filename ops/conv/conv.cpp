@@ -12,11 +12,6 @@ namespace {
 
 using conv::Geometry;
 
-template <class T>
-const ConvKernels<T>& active_kernels() {
-  return SATSURF_DISPATCH(conv_kernels<T>)();
-}
-
 template <std::size_t N>
 std::string text(const std::array<Index, N>& a) {
   std::string s;
@@ -90,12 +85,12 @@ BasicVar<T> correlation(const char* op, const Geometry& g, const Shape& shape,
                         const Normalised<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
                         ChannelMoments* moments) {
   auto out = BasicTensor<T>::uninitialised(shape);
-  conv::correlate(active_kernels<T>(), g, input_of(x), weight.value().data(), data_or_null(bias),
-                  out.data(), false, moments);
+  conv::correlate(active_kernels<ConvKernels<T>>(), g, input_of(x), weight.value().data(),
+                  data_or_null(bias), out.data(), false, moments);
 
   const Activation activation = x.activation;
   return BasicVar<T>::record(op, out, {x.x, x.affine, weight, bias}, [g, activation](Node<T>& n) {
-    const auto& kernels = active_kernels<T>();
+    const auto& kernels = active_kernels<ConvKernels<T>>();
     const T* dy = n.grad.data();
     input_gradient(n, activation, [&](T* dx, bool accumulate) {
       conv::correlate_adjoint<T>(kernels, g, {dy}, n.in(2), nullptr, dx, accumulate);
@@ -187,13 +182,13 @@ BasicVar<T> conv_transpose3d(const Normalised<T>& x, const BasicVar<T>& weight,
   }
 
   auto out = BasicTensor<T>::uninitialised({g.B, g.C, g.x_size[0], g.x_size[1], g.x_size[2]});
-  conv::correlate_adjoint(active_kernels<T>(), g, input_of(x), weight.value().data(),
+  conv::correlate_adjoint(active_kernels<ConvKernels<T>>(), g, input_of(x), weight.value().data(),
                           data_or_null(bias), out.data(), false, moments);
 
   const Activation activation = x.activation;
   return BasicVar<T>::record(
       "conv_transpose3d", out, {x.x, x.affine, weight, bias}, [g, activation](Node<T>& n) {
-        const auto& kernels = active_kernels<T>();
+        const auto& kernels = active_kernels<ConvKernels<T>>();
         const T* dy = n.grad.data();
         input_gradient(n, activation, [&](T* dx, bool accumulate) {
           conv::correlate<T>(kernels, g, {dy}, n.in(2), nullptr, dx, accumulate);

@@ -7,7 +7,53 @@
 
 #include <array>
 
-/// The three linear maps behind every convolution of ops/conv.h, on plain buffers. Internal to ops.
+/// The convolution engine: the linear maps behind every convolution of conv.h, on plain buffers.
+/// Internal to ops.
+///
+/// Which operator needs which map (a 2D convolution is a 3D one with a leading extent of 1):
+///
+///   conv2d, conv3d     forward correlate,         x's gradient correlate_adjoint
+///   conv_transpose3d   forward correlate_adjoint, x's gradient correlate
+///   all three          weight's gradient correlate_weight_gradient, bias's gradient bias_gradient
+///
+/// The files, from the operators down to the vectors:
+///
+///   conv       operators: shapes, sizes, tape; picks the kernels of the active instruction set
+///   gather     correlate and its adjoint, in which every output is a sum over channels and taps
+///   gradient   the weight's gradient, a matrix product over positions, and the bias's
+///   axes       how each axis of the input is split, which taps an output has, when rows are mixed
+///   slab       the padded copy of the input laid out like that, and the pieces of work
+///   weights    packing of the kernels, mixed where rows are
+///   winograd   the mixing matrices
+///   kernels    register tiles over a slab; they know neither strides nor padding nor rank
+///   row_kernels  rows into a slab and out of it: padding, phases, normalisation, mixing
+///
+/// How data flow. Forward and x's gradient, per piece of output rows and planes: input rows are
+/// normalised and padded or mixed into the slab, the register tiles make lines of sums of it, and
+/// rows of the lines are joined or mixed back into the output. Weight's gradient, per block of
+/// channels and stretch of pieces: x goes into a slab, dy into lines of the same layout, the tiles
+/// add up their products in one vector per weight, and the vectors' lanes are summed at the end.
+///
+/// Layouts, the last index being contiguous:
+///
+///   slab            [channel][plane][row phase or mix][column phase][row][column of `pitch`]
+///   packed weights  [block of outputs][phase][channel][tap][output of the block]
+///   lines           [phase or mix][output of a block][position], position = row * pitch + column
+///   weight sums     [mix][channel and tap][output of a block][lane]
+///
+/// Decisions, all from the sizes alone so that results do not depend on the number of threads:
+///
+///   path of the sums    correlation_route in gather.cpp: straight to the output where a kernel of
+///                       one tap makes both layouts equal; through channels in lanes where columns
+///                       have stride 2 and there are channels enough, so that columns need not be
+///                       split; through lines otherwise
+///   mixing of rows      with_mixed_rows in axes.cpp: three taps, stride 1, and outputs enough to
+///                       pay for mixing the kernels
+///   rows of a piece     rows_in_cache and Pieces in slab.cpp: a slab fits the second-level cache
+///                       and there are pieces enough to balance the threads
+///   weight's gradient   the constants at the head of gradient.cpp: sums of a block of channels in
+///                       the cache, blocks of dy in the first-level cache, partial sums of stretches
+///                       added in order
 namespace satsurf::conv {
 
 /// One 3D cross-correlation from `x` to `y`; 2D ones have a leading extent of 1. A transposed
@@ -22,7 +68,7 @@ struct Geometry {
   Index taps() const { return kernel[0] * kernel[1] * kernel[2]; }
 };
 
-/// What a convolution reads: x itself, or what ops/normalised.h makes of it on the way.
+/// What a map reads: x itself, or what ops/normalised.h makes of it on the way.
 template <class T>
 struct Input {
   const T* x;

@@ -2,6 +2,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/conv/engine.h"
 #include "satsurf/ops/conv/slab.h"
+#include "satsurf/ops/conv/weights.h"
 #include "satsurf/ops/conv/winograd.h"
 
 #include <algorithm>
@@ -11,58 +12,6 @@ namespace satsurf::conv {
 namespace {
 
 constexpr Index kPieces = 16;  // enough for some threads to balance
-
-/// One output phase of each axis, and the (mixed) kernel's positions that reach it.
-struct PhaseTaps {
-  const AxisPhase *z, *y, *x;
-  Index first_row, first_column;  ///< first output of the phase
-  std::vector<Index> taps;
-  Index before;  ///< taps of the phases in front of this one
-};
-
-/// Depth, row and column phases nested in this order.
-std::vector<PhaseTaps> list_phases(const Axes& axes, const std::array<Index, 3>& kernel) {
-  std::vector<PhaseTaps> list;
-  Index before = 0;
-  for (const AxisPhase& z : axes[0].phases)
-    for (const AxisPhase& y : axes[1].phases)
-      for (const AxisPhase& x : axes[2].phases) {
-        std::vector<Index> taps;
-        for (const AxisTap& i : z.taps)
-          for (const AxisTap& j : y.taps)
-            for (const AxisTap& k : x.taps)
-              taps.push_back((i.tap * kernel[1] + j.tap) * kernel[2] + k.tap);
-        const Index count = static_cast<Index>(taps.size());
-        list.push_back({&z, &y, &x, &y - axes[1].phases.data(), &x - axes[2].phases.data(),
-                        std::move(taps), before});
-        before += count;
-      }
-  return list;
-}
-
-/// G applied to the rows of `count` kernels.
-template <class T>
-BasicTensor<T> mixed_weights(const Geometry& g, const Axis& rows, const T* weight, Index count) {
-  using namespace winograd;
-  const Index KD = g.kernel[0], KW = g.kernel[2];
-  auto mixed = BasicTensor<T>::uninitialised({count, KD, kMixes, KW});
-  for_range(count * KD, std::max<Index>(1, 1024 / KW), [&](Index begin, Index end) {
-    for (Index n = begin; n < end; ++n)
-      for (Index i = 0; i < kMixes; ++i)
-        for (Index k = 0; k < KW; ++k) {
-          double sum = 0;
-          for (std::size_t t = 0; t < kTaps; ++t)
-            sum += kG[i][t] * weight[(n * kTaps + rows.kernel_order[t]) * KW + k];
-          mixed[(n * kMixes + i) * KW + k] = static_cast<T>(sum);
-        }
-  });
-  return mixed;
-}
-
-/// How far the kernels of neighbouring output and input channels are apart, in kernels.
-struct WeightStrides {
-  Index o, c;
-};
 
 /// How outputs get from the sums to where they belong.
 enum class Route {
@@ -124,72 +73,43 @@ class Gather {
         out_size_(out_size),
         phases_(list_phases(axes_, kernel_)) {}
 
-  void run(const Input<T>& in, const T* weight, WeightStrides stride, const T* bias, T* out,
-           bool accumulate, ChannelMoments* moments) const {
+  /// o_stride, c_stride  between the kernels of neighbouring outputs and channels, in kernels
+  void run(const Input<T>& in, const T* weight, Index o_stride, Index c_stride, const T* bias,
+           T* out, bool accumulate, ChannelMoments* moments) const {
     if (B_ == 0) return;
-    BasicTensor<T> mixed;
-    if (axes_[1].mixed) {
-      mixed = mixed_weights(g_, axes_[1], weight, C_ * O_);
-      weight = mixed.data();
-    }
-    const auto packed = pack(weight, {stride.o * K_, stride.c * K_});
+    const auto packed =
+        packed_weights(g_, axes_, phases_, {O_, C_, o_stride, c_stride, block_}, weight);
     const Index planes = axes_[0].span();
     const Pieces pieces(B_, axes_, rows_in_cache<T>(axes_, C_, planes), kPieces);
     // of each piece's outputs, added up in the pieces' order
-    std::vector<Moments> parts(moments == nullptr ? 0
-                                                  : static_cast<std::size_t>(pieces.count() * O_));
+    std::vector<Moments> parts(moments == nullptr ? 0 : pieces.count() * O_);
     for_each_index(pieces.count(), [&](Index i) {
       const Piece piece = pieces[i];
       Slab<T> slab(kernels_, axes_, in, B_ * C_, C_, piece.rows, planes);
-      slab.open(piece.b * C_, piece.row);
+      slab.start(piece.b * C_, piece.row);
       run_piece(piece, slab, packed.data(),
                 {bias, out, accumulate, parts.empty() ? nullptr : parts.data() + i * O_});
     });
     if (moments == nullptr) return;
-    moments->assign(static_cast<std::size_t>(B_ * O_), {});
+    moments->assign(B_ * O_, {});
     for (Index i = 0; i < pieces.count(); ++i)
-      for (Index o = 0; o < O_; ++o)
-        (*moments)[static_cast<std::size_t>(pieces[i].b * O_ + o)].merge(
-            parts[static_cast<std::size_t>(i * O_ + o)]);
+      for (Index o = 0; o < O_; ++o) (*moments)[pieces[i].b * O_ + o].merge(parts[i * O_ + o]);
   }
 
  private:
-  /// [block of outputs][phase][c][tap][block]; outputs beyond O are zero. Strides in elements.
-  BasicTensor<T> pack(const T* weight, WeightStrides stride) const {
-    const Index blocks = ceil_div(O_, block_);
-    auto packed = BasicTensor<T>::uninitialised({blocks * C_ * K_ * block_});
-    for_range(blocks * C_, std::max<Index>(1, 4096 / (K_ * block_)), [&](Index begin, Index end) {
-      for (Index i = begin; i < end; ++i)
-        pack_channel(i / C_, i % C_, weight + i % C_ * stride.c, stride.o, packed.data());
-    });
-    return packed;
-  }
-
-  void pack_channel(Index block, Index c, const T* weight, Index o_stride, T* packed) const {
-    for (const PhaseTaps& phase : phases_) {
-      const Index taps = static_cast<Index>(phase.taps.size());
-      T* dst = packed + ((block * K_ + phase.before) * C_ + c * taps) * block_;
-      for (const Index t : phase.taps)
-        for (Index o = block * block_; o < (block + 1) * block_; ++o)
-          *dst++ = o < O_ ? weight[o * o_stride + t] : T(0);
-    }
-  }
-
   /// Phases that fill the same output rows and are stored together: those that differ in the
   /// column only, or all mixes of the rows.
-  Index together() const {
-    return static_cast<Index>((axes_[1].mixed ? axes_[1] : axes_[2]).phases.size());
-  }
+  Index joint_phases() const { return std::ssize((axes_[1].mixed ? axes_[1] : axes_[2]).phases); }
 
   void run_piece(const Piece& piece, Slab<T>& slab, const T* packed, const Result<T>& to) const {
-    const Index depth_phases = static_cast<Index>(axes_[0].phases.size());
+    const Index depth_phases = std::ssize(axes_[0].phases);
     const Index width = ceil_div(piece.rows * slab.pitch(), kernels_.lanes) * kernels_.lanes;
-    auto lines =
-        BasicTensor<T>::uninitialised({together(), kConvBlock, route_ == Route::lines ? width : 0});
-    std::vector<Index> shifts(static_cast<std::size_t>(K_));
+    auto lines = BasicTensor<T>::uninitialised(
+        {joint_phases(), kConvBlock, route_ == Route::lines ? width : 0});
+    std::vector<Index> shifts(K_);
     for (Index m = piece.z; m < piece.z_end; ++m) {
-      slab.load(m * axes_[0].reads, m * axes_[0].reads + axes_[0].span());
-      for (std::size_t f = 0; f < phases_.size(); f += static_cast<std::size_t>(together())) {
+      slab.load(m * axes_[0].input_phases, m * axes_[0].input_phases + axes_[0].span());
+      for (std::size_t f = 0; f < phases_.size(); f += joint_phases()) {
         const PhaseTaps* phase = &phases_[f];
         const Index rows = std::min(piece.rows, phase->y->count - piece.row);
         if (m >= phase->z->count || rows <= 0) continue;
@@ -197,7 +117,7 @@ class Gather {
         set_shifts(phase, m, slab, shifts.data());
         for (Index o = 0; o < O_; o += block_) {
           const Index outputs = std::min(block_, O_ - o);
-          expect_stores(piece, *phase, z, rows, o, outputs, to.out);
+          prefetch_results(piece, *phase, z, rows, o, outputs, to.out);
           ConvGather<T> gather{.x = slab.data(),
                                .c_stride = slab.c_stride(),
                                .C = C_,
@@ -213,10 +133,10 @@ class Gather {
             gather_directly(piece, z, rows, o, slab, packed, to, gather);
             continue;
           }
-          for (Index i = 0; i < together(); ++i) {
+          for (Index i = 0; i < joint_phases(); ++i) {
             const Index count = (rows - 1) * slab.pitch() + phase[i].x->count;
-            gather.taps = static_cast<Index>(phase[i].taps.size());
-            gather.weight = packed + (o * K_ + phase[i].before * kConvBlock) * C_;
+            gather.taps = std::ssize(phase[i].taps);
+            gather.weight = packed + (o * K_ + phase[i].taps_before * kConvBlock) * C_;
             gather.out = lines.data() + i * kConvBlock * width;
             kernels_.gather(gather, count);
             gather.shift += gather.taps;
@@ -228,26 +148,26 @@ class Gather {
   }
 
   void set_shifts(const PhaseTaps* phase, Index m, const Slab<T>& slab, Index* shift) const {
-    for (Index f = 0; f < together(); ++f)
+    for (Index f = 0; f < joint_phases(); ++f)
       for (const AxisTap& i : phase[f].z->taps)
         for (const AxisTap& j : phase[f].y->taps)
           for (const AxisTap& k : phase[f].x->taps) *shift++ = slab.shift(m, i, j, k);
   }
 
   /// Asks for the rows that `store` writes after the gathering: by then they are there.
-  void expect_stores(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
-                     Index outputs, const T* out) const {
+  void prefetch_results(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
+                        Index outputs, const T* out) const {
     const Index H = out_size_[1], W = out_size_[2], group = axes_[1].mixed ? winograd::kOutputs : 1;
-    const Index step = axes_[1].mixed ? 1 : static_cast<Index>(axes_[1].phases.size());
+    const Index step = axes_[1].mixed ? 1 : std::ssize(axes_[1].phases);
     const Index first = (axes_[1].mixed ? 0 : phase.first_row) + piece.row * group * step;
     const Index last = std::min(H, first + rows * group * step);
     for (Index i = o; i < o + outputs; ++i) {
       const T* plane = out + ((piece.b * O_ + i) * out_size_[0] + z) * H * W;
       if (step == 1) {
-        expect(plane + first * W, plane + last * W);
+        prefetch(plane + first * W, plane + last * W);
         continue;
       }
-      for (Index y = first; y < last; y += step) expect(plane + y * W, plane + (y + 1) * W);
+      for (Index y = first; y < last; y += step) prefetch(plane + y * W, plane + (y + 1) * W);
     }
   }
 
@@ -278,7 +198,7 @@ class Gather {
   void store(const Piece& piece, const PhaseTaps& phase, Index z, Index rows, Index o,
              Index outputs, Index pitch, const BasicTensor<T>& lines, const Result<T>& to) const {
     const Index H = out_size_[1], W = out_size_[2];
-    const Index row_phases = axes_[1].mixed ? 1 : static_cast<Index>(axes_[1].phases.size());
+    const Index row_phases = axes_[1].mixed ? 1 : std::ssize(axes_[1].phases);
     const Index width = lines.dim(2), phase_stride = kConvBlock * width;
     for (Index i = 0; i < outputs; ++i) {
       T* plane = to.out + ((piece.b * O_ + o + i) * out_size_[0] + z) * H * W;
@@ -310,8 +230,7 @@ class Gather {
   void add_moments(const T* x, Index n, Moments& moments) const {
     double sums[2];
     kernels_.rows.sums(n, x, x[0], sums);
-    moments.merge(
-        Moments::about(static_cast<double>(x[0]), static_cast<double>(n), sums[0], sums[1]));
+    moments.merge(Moments::about(x[0], static_cast<double>(n), sums[0], sums[1]));
   }
 
   static constexpr Index kMostLanes = 64 / static_cast<Index>(sizeof(T));
@@ -336,7 +255,7 @@ void correlate(const ConvKernels<T>& kernels, const Geometry& g, const Input<T>&
   const Geometry shape = single_tap(g) ? as_lines(g) : g;
   const Gather<T> gather(kernels, correlation_axes(shape), shape, g.C, g.O, shape.y_size,
                          correlation_route(kernels, shape));
-  gather.run(x, weight, {.o = g.C, .c = 1}, bias, y, accumulate, moments);
+  gather.run(x, weight, g.C, 1, bias, y, accumulate, moments);
 }
 
 template <class T>
@@ -346,7 +265,7 @@ void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& g, const I
   const Geometry shape = single_tap(g) ? as_lines(g) : g;
   const Route route = single_tap(g) ? correlation_route(kernels, shape) : Route::lines;
   const Gather<T> gather(kernels, adjoint_axes(shape), shape, g.O, g.C, shape.x_size, route);
-  gather.run(y, weight, {.o = 1, .c = g.C}, bias, x, accumulate, moments);
+  gather.run(y, weight, 1, g.C, bias, x, accumulate, moments);
 }
 
 template void correlate(const ConvKernels<float>&, const Geometry&, const Input<float>&,

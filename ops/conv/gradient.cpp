@@ -30,12 +30,12 @@ class WeightGradient {
         g_(g),
         axes_(with_mixed_rows(correlation_axes(g), g.B)),
         kernel_(kernel_of(axes_, g)),
-        mixes_(static_cast<Index>(axes_[1].phases.size())),
+        mixes_(std::ssize(axes_[1].phases)),
         K_(kernel_[0] * kernel_[1] * kernel_[2] / mixes_),
         c_block_(std::clamp<Index>(kMostColumns / (K_ * mixes_), 1, g.C)),
         c_blocks_(ceil_div(g.C, c_block_)),
         planes_per_batch_(choose_batch()),
-        ring_((planes_per_batch_ - 1) * axes_[0].reads + axes_[0].span()),
+        ring_((planes_per_batch_ - 1) * axes_[0].input_phases + axes_[0].span()),
         pieces_(g.B, axes_, rows_in_cache<T>(axes_, c_block_, ring_), ceil_div(kItems, c_blocks_)),
         stretches_(choose_stretches()),
         o_blocks_(ceil_div(g.O, kConvBlock)),
@@ -64,7 +64,7 @@ class WeightGradient {
   Index choose_batch() const {
     const Index rows = rows_in_cache<T>(axes_, c_block_, axes_[0].span());
     const Index vectors = ceil_div(rows * row_pitch(axes_[2]), kernels_.lanes);
-    return std::clamp<Index>(kBlockVectors / vectors, 1, std::max<Index>(1, axes_[0].most));
+    return std::clamp<Index>(kBlockVectors / vectors, 1, std::max<Index>(1, axes_[0].most_outputs));
   }
 
   Index choose_stretches() const {
@@ -92,10 +92,11 @@ class WeightGradient {
 
     for (Index i = first; i < last; ++i) {
       const Piece piece = pieces_[i];
-      slab.open(piece.b * g_.C + c, piece.row);
+      slab.start(piece.b * g_.C + c, piece.row);
       for (Index z = piece.z; z < piece.z_end; z += planes_per_batch_) {
         const Index planes = std::min(planes_per_batch_, piece.z_end - z);
-        slab.load(z * axes_[0].reads, (z + planes - 1) * axes_[0].reads + axes_[0].span());
+        slab.load(z * axes_[0].input_phases,
+                  (z + planes - 1) * axes_[0].input_phases + axes_[0].span());
         std::vector<std::vector<Index>> columns;
         for (const AxisPhase& phase : axes_[1].phases)
           columns.push_back(list_columns(slab, z, planes, channels, phase));
@@ -103,19 +104,17 @@ class WeightGradient {
           for (Index p = 0; p < planes; ++p)
             lay_out(gradient, piece, z + p, block * kConvBlock, outputs_of(block), slab.pitch(),
                     p * plane, lines);
-          BasicTensor<T>& block_sums = sums[static_cast<std::size_t>(block - first_block)];
+          BasicTensor<T>& block_sums = sums[block - first_block];
           for (Index m = 0; m < mixes_; ++m)
             add_products(slab, planes, ceil_div(piece.rows * slab.pitch(), L), plane,
-                         outputs_of(block), column_count(channels, block),
-                         columns[static_cast<std::size_t>(m)],
+                         outputs_of(block), column_count(channels, block), columns[m],
                          lines.data() + m * kConvBlock * lines.dim(2), lines.dim(2),
                          block_sums.data() + m * block_sums.dim(1));
         }
       }
     }
     for (Index block = first_block; block < last_block; ++block)
-      store(sums[static_cast<std::size_t>(block - first_block)], channels, outputs_of(block),
-            block * kConvBlock, c, dw);
+      store(sums[block - first_block], channels, outputs_of(block), block * kConvBlock, c, dw);
   }
 
   Index outputs_of(Index block) const { return std::min(kConvBlock, g_.O - block * kConvBlock); }
@@ -134,7 +133,7 @@ class WeightGradient {
   std::vector<Index> list_columns(const Slab<T>& slab, Index z, Index planes, Index channels,
                                   const AxisPhase& rows) const {
     std::vector<Index> columns;
-    columns.reserve(static_cast<std::size_t>(planes * columns_stride(channels)));
+    columns.reserve(planes * columns_stride(channels));
     for (Index p = 0; p < planes; ++p) {
       const std::size_t begin = columns.size();
       for (const AxisTap& i : axes_[0].phases[0].taps)
@@ -142,8 +141,8 @@ class WeightGradient {
           for (const AxisTap& k : axes_[2].phases[0].taps)
             columns.push_back(slab.shift(z + p, i, j, k));
       for (Index q = K_; q < channels * K_; ++q)
-        columns.push_back(columns[columns.size() - static_cast<std::size_t>(K_)] + slab.c_stride());
-      columns.insert(columns.end(), static_cast<std::size_t>(kConvBlock), columns[begin]);
+        columns.push_back(columns[columns.size() - K_] + slab.c_stride());
+      columns.insert(columns.end(), kConvBlock, columns[begin]);
     }
     return columns;
   }
@@ -165,8 +164,7 @@ class WeightGradient {
           std::array<const T*, kOutputs> rows;
           for (Index j = 0; j < kOutputs; ++j) {
             const Index y = (piece.row + r) * kOutputs + j;
-            rows[static_cast<std::size_t>(j)] =
-                y < H ? dy.read(src + y * W, channel, j) : zeros_.data();
+            rows[j] = y < H ? dy.read(src + y * W, channel, j) : zeros_.data();
           }
           kernels_.rows.mix_gradient(rows.data(), W, dst + r * pitch, mix_stride, pitch);
         } else {
@@ -185,12 +183,12 @@ class WeightGradient {
                     Index column_count, const std::vector<Index>& columns, const T* lines,
                     Index line_stride, T* sums) const {
     const Index groups = column_count / kernels_.column_group[outputs];
-    const Index columns_stride = static_cast<Index>(columns.size()) / planes;
+    const Index columns_stride = std::ssize(columns) / planes;
     std::vector<ConvSegment> block;
     Index size = 0;
     const auto flush = [&] {
-      kernels_.weight_gradient(slab.data(), block.data(), static_cast<Index>(block.size()), lines,
-                               line_stride, outputs, groups, sums);
+      kernels_.weight_gradient(slab.data(), block.data(), std::ssize(block), lines, line_stride,
+                               outputs, groups, sums);
       block.clear();
       size = 0;
     };
@@ -209,11 +207,9 @@ class WeightGradient {
              T* dw) const {
     using namespace winograd;
     const Index Q = sums.dim(1) / (outputs * kernels_.lanes), KD = kernel_[0], KW = kernel_[2];
-    std::vector<T> flat(static_cast<std::size_t>(mixes_ * Q * outputs));
+    std::vector<T> flat(mixes_ * Q * outputs);
     kernels_.sum_lanes(sums.data(), mixes_ * Q * outputs, flat.data());
-    const auto sum_of = [&](Index m, Index q, Index i) {
-      return flat[static_cast<std::size_t>((m * Q + q) * outputs + i)];
-    };
+    const auto sum_of = [&](Index m, Index q, Index i) { return flat[(m * Q + q) * outputs + i]; };
     for (Index i = 0; i < outputs; ++i)
       for (Index j = 0; j < channels; ++j) {
         T* kernel = dw + ((o + i) * g_.C + c + j) * g_.taps();
@@ -254,11 +250,10 @@ void correlate_weight_gradient(const ConvKernels<T>& kernels, const Geometry& g,
 
 template <class T>
 void bias_gradient(const ConvKernels<T>& kernels, Index B, Index C, Index N, const T* dy, T* db) {
-  std::vector<T> sums(static_cast<std::size_t>(B * C));
-  for_each_index(B * C,
-                 [&](Index i) { sums[static_cast<std::size_t>(i)] = kernels.sum(dy + i * N, N); });
+  std::vector<T> sums(B * C);
+  for_each_index(B * C, [&](Index i) { sums[i] = kernels.sum(dy + i * N, N); });
   for (Index b = 0; b < B; ++b)
-    for (Index c = 0; c < C; ++c) db[c] += sums[static_cast<std::size_t>(b * C + c)];
+    for (Index c = 0; c < C; ++c) db[c] += sums[b * C + c];
 }
 
 template void correlate_weight_gradient(const ConvKernels<float>&, const Geometry&,

@@ -5,7 +5,7 @@
 
 #include <cstddef>
 
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 #if defined(__AVX512F__)
@@ -83,26 +83,6 @@ void gather(const ConvGather<T>& g, Index n) {
   run.template operator()<1>();
 }
 
-/// One step of a transposition by halves: lanes whose bit S differs from their row's change places.
-template <class T, Index S, Index... I>
-void exchange(Batch<T>& a, Batch<T>& b, Lanes<I...>) {
-  constexpr Index L = kLanes<T>;
-  const auto low = __builtin_shufflevector(a.data, b.data, ((I & S) != 0 ? L + I - S : I)...);
-  const auto high = __builtin_shufflevector(a.data, b.data, ((I & S) != 0 ? L + I : I + S)...);
-  a = Batch<T>(low);
-  b = Batch<T>(high);
-}
-
-template <class T, Index S = 1>
-[[gnu::always_inline]] inline void transpose(Batch<T> (&rows)[kLanes<T>]) {
-  if constexpr (S < kLanes<T>) {
-#pragma GCC unroll 16
-    for (Index i = 0; i < kLanes<T>; ++i)
-      if ((i & S) == 0) exchange<T, S>(rows[i], rows[i + S], AllLanes<T>{});
-    transpose<T, 2 * S>(rows);
-  }
-}
-
 /// P neighbouring outputs, those of one position in one vector.
 template <class T, Index P, Index kStep>
 void lanes_tile(const ConvGather<T>& g, const T* x, T* out) {
@@ -119,13 +99,16 @@ void lanes_tile(const ConvGather<T>& g, const T* x, T* out) {
       for (Index p = 0; p < P; ++p) acc[p] = xsimd::fma(w, Batch<T>(xt[p * kStep]), acc[p]);
     }
   if constexpr (P == L) {
-    transpose(acc);
+    using Vectors = Part<T, kBatchBytes<T>>;
+    typename Vectors::Vector rows[L];
+#pragma GCC unroll 16
+    for (Index p = 0; p < L; ++p) rows[p] = acc[p].data;
+    transpose<T, kBatchBytes<T>>(rows);
 #pragma GCC unroll 16
     for (Index o = 0; o < L; ++o) {
       if (o >= g.outputs) break;
       T* to = out + o * g.out_stride;
-      if (g.add) acc[o] += Batch<T>::load_unaligned(to);
-      acc[o].store_unaligned(to);
+      Vectors::store(to, g.add ? rows[o] + Vectors::load(to) : rows[o]);
     }
   } else {
     alignas(Batch<T>) T lanes[P * L];
@@ -218,7 +201,7 @@ void weight_gradient(const T* x, const ConvSegment* segments, Index count, const
 }
 
 /// The sum of a vector's lanes, by halves.
-template <class T, std::size_t Bytes = kVectorBytes<T>>
+template <class T, std::size_t Bytes = kBatchBytes<T>>
 T sum_halves(const typename Part<T, Bytes>::Vector& v) {
   if constexpr (Bytes == 2 * sizeof(T)) {
     return v[0] + v[1];
@@ -233,7 +216,7 @@ T sum_halves(const typename Part<T, Bytes>::Vector& v) {
 
 template <class T>
 void sum_lanes(const T* vectors, Index n, T* out) {
-  using P = Part<T, kVectorBytes<T>>;
+  using P = Part<T, kBatchBytes<T>>;
   for (Index i = 0; i < n; ++i) out[i] = sum_halves<T>(P::load(vectors + i * kLanes<T>));
 }
 
@@ -263,21 +246,25 @@ constexpr Index column_group(Index outputs) {
 
 }  // namespace
 
-template <class T>
-const ConvKernels<T>& conv_kernels() {
-  static const ConvKernels<T> kernels{
-      .lanes = kLanes<T>,
-      .column_group = {0, column_group(1), column_group(2), column_group(3), column_group(4),
-                       column_group(5), column_group(6), column_group(7), column_group(8)},
-      .gather = gather<T>,
-      .gather_in_lanes = gather_in_lanes<T>,
-      .weight_gradient = weight_gradient<T>,
-      .sum_lanes = sum_lanes<T>,
-      .sum = sum<T>,
-      .rows = conv_row_kernels<T>()};
-  return kernels;
-}
-template const ConvKernels<float>& conv_kernels();
-template const ConvKernels<double>& conv_kernels();
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf {
+
+template <class T>
+template <Isa isa>
+ConvKernels<T> ConvKernels<T>::compiled_for() {
+  return {.lanes = here::kLanes<T>,
+          .column_group = {0, here::column_group(1), here::column_group(2), here::column_group(3),
+                           here::column_group(4), here::column_group(5), here::column_group(6),
+                           here::column_group(7), here::column_group(8)},
+          .gather = here::gather<T>,
+          .gather_in_lanes = here::gather_in_lanes<T>,
+          .weight_gradient = here::weight_gradient<T>,
+          .sum_lanes = here::sum_lanes<T>,
+          .sum = here::sum<T>,
+          .rows = ConvRowKernels<T>::template compiled_for<isa>()};
+}
+template ConvKernels<float> ConvKernels<float>::compiled_for<kIsa>();
+template ConvKernels<double> ConvKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf

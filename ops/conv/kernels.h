@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/core/shape.h"
 #include "satsurf/ops/conv/row_kernels.h"
 
@@ -62,19 +63,9 @@ struct ConvKernels {
   T (*sum)(const T* x, Index n);
 
   ConvRowKernels<T> rows;
-};
 
-namespace isa_baseline {
-template <class T>
-const ConvKernels<T>& conv_kernels();
-}
-namespace isa_avx2 {
-template <class T>
-const ConvKernels<T>& conv_kernels();
-}
-namespace isa_avx512 {
-template <class T>
-const ConvKernels<T>& conv_kernels();
-}
+  template <Isa isa>
+  static ConvKernels compiled_for();
+};
 
 }  // namespace satsurf

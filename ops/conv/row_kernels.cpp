@@ -6,13 +6,13 @@
 
 #include <cstddef>
 
-namespace satsurf::SATSURF_ISA_NS {
+namespace satsurf::SATSURF_KERNEL_ISA {
 namespace {
 
 using conv::winograd::kMixes, conv::winograd::kOutputs;
 
 /// Vectors from the front and one more that ends with the row; shorter rows by shorter vectors.
-template <class T, std::size_t Bytes = kVectorBytes<T>>
+template <class T, std::size_t Bytes = kBatchBytes<T>>
 void copy_row(const T* src, T* dst, Index n) {
   using P = Part<T, Bytes>;
   if (n < P::kCount) {
@@ -24,19 +24,18 @@ void copy_row(const T* src, T* dst, Index n) {
   P::store(dst + n - P::kCount, P::load(src + n - P::kCount));
 }
 
-template <class T, std::size_t Bytes, Index... I>
-void split_vector(const T* src, T* even, T* odd, Lanes<I...>) {
+template <class T, std::size_t Bytes>
+void split_vector(const T* src, T* even, T* odd) {
   using P = Part<T, Bytes>;
   const auto a = P::load(src), b = P::load(src + P::kCount);
-  P::store(even, __builtin_shufflevector(a, b, (2 * I)...));
-  P::store(odd, __builtin_shufflevector(a, b, (2 * I + 1)...));
+  P::store(even, P::even(a, b));
+  P::store(odd, P::odd(a, b));
 }
 
 /// even[i] = src[2 i], odd[i] = src[2 i + 1], walking as copy_row does.
-template <class T, std::size_t Bytes = kVectorBytes<T>>
+template <class T, std::size_t Bytes = kBatchBytes<T>>
 void split_row(const T* src, T* even, T* odd, Index n) {
   using P = Part<T, Bytes>;
-  constexpr typename P::Indices kIndices{};
   if (n < P::kCount) {
     if constexpr (Bytes > 16) return split_row<T, Bytes / 2>(src, even, odd, n);
     for (Index i = 0; i < n; ++i) {
@@ -46,9 +45,9 @@ void split_row(const T* src, T* even, T* odd, Index n) {
     return;
   }
   for (Index i = 0; i + P::kCount <= n; i += P::kCount)
-    split_vector<T, Bytes>(src + 2 * i, even + i, odd + i, kIndices);
+    split_vector<T, Bytes>(src + 2 * i, even + i, odd + i);
   const Index i = n - P::kCount;
-  split_vector<T, Bytes>(src + 2 * i, even + i, odd + i, kIndices);
+  split_vector<T, Bytes>(src + 2 * i, even + i, odd + i);
 }
 
 /// pad_row with one phase: dst[i] = src[i - left] where there is such an element, else 0.
@@ -104,9 +103,9 @@ void interleave_row(const T* even, const T* odd, T bias, bool accumulate, T* dst
   constexpr Index L = kLanes<T>;
   Index i = 0;
   for (; i + L <= pairs; i += L) {
-    Batch<T> a, b;
-    interleave(Batch<T>::load_unaligned(even + i) + bias, Batch<T>::load_unaligned(odd + i) + bias,
-               a, b, AllLanes<T>{});
+    const Batch<T> left = Batch<T>::load_unaligned(even + i) + bias,
+                   right = Batch<T>::load_unaligned(odd + i) + bias;
+    Batch<T> a = interleave_low(left, right), b = interleave_high(left, right);
     T* to = dst + 2 * i;
     if (accumulate) {
       a += Batch<T>::load_unaligned(to);
@@ -276,17 +275,23 @@ void mix_output_rows(const T* src, Index mix_stride, T bias, bool accumulate, T*
 
 }  // namespace
 
-template <class T>
-ConvRowKernels<T> conv_row_kernels() {
-  return {.pad = pad_row<T>,
-          .store = store_row<T>,
-          .normalise = norm_apply<T>,
-          .sums = norm_sums<T>,
-          .mix_input = mix_input_rows<T>,
-          .mix_output = mix_output_rows<T>,
-          .mix_gradient = mix_gradient_rows<T>};
-}
-template ConvRowKernels<float> conv_row_kernels();
-template ConvRowKernels<double> conv_row_kernels();
+}  // namespace satsurf::SATSURF_KERNEL_ISA
 
-}  // namespace satsurf::SATSURF_ISA_NS
+namespace satsurf {
+
+template <class T>
+template <Isa isa>
+ConvRowKernels<T> ConvRowKernels<T>::compiled_for() {
+  const auto pointwise = PointwiseKernels<T>::template compiled_for<isa>();
+  return {.pad = here::pad_row<T>,
+          .store = here::store_row<T>,
+          .normalise = pointwise.norm_apply,
+          .sums = pointwise.norm_sums,
+          .mix_input = here::mix_input_rows<T>,
+          .mix_output = here::mix_output_rows<T>,
+          .mix_gradient = here::mix_gradient_rows<T>};
+}
+template ConvRowKernels<float> ConvRowKernels<float>::compiled_for<kIsa>();
+template ConvRowKernels<double> ConvRowKernels<double>::compiled_for<kIsa>();
+
+}  // namespace satsurf

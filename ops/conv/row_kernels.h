@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/isa.h"
 #include "satsurf/ops/normalised.h"
 #include "satsurf/ops/pointwise_kernels.h"
 
@@ -25,7 +26,7 @@ struct ConvRowKernels {
   /// sums[0] = sum(x - shift), sums[1] = sum((x - shift)^2), as norm_sums there
   void (*sums)(Index n, const T* x, T shift, double* sums);
 
-  // The three maps of F(4, 3), see conv_winograd.h, from row to row. Mix i of what `src` points to
+  // The three maps of F(4, 3), see winograd.h, from row to row. Mix i of what `src` points to
   // or of what goes to dst stands at i * mix_stride.
 
   /// dst[left + p] = B applied to the six rows src[.][p], 0 <= p < n; zero in front and behind, up
@@ -39,19 +40,9 @@ struct ConvRowKernels {
   /// dst[p] = the adjoint of A applied to the four rows src[.][p], 0 <= p < n; zero behind, up to
   /// count
   void (*mix_gradient)(const T* const* src, Index n, T* dst, Index mix_stride, Index count);
-};
 
-namespace isa_baseline {
-template <class T>
-ConvRowKernels<T> conv_row_kernels();
-}
-namespace isa_avx2 {
-template <class T>
-ConvRowKernels<T> conv_row_kernels();
-}
-namespace isa_avx512 {
-template <class T>
-ConvRowKernels<T> conv_row_kernels();
-}
+  template <Isa isa>
+  static ConvRowKernels compiled_for();
+};
 
 }  // namespace satsurf

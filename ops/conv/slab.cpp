@@ -9,118 +9,24 @@ namespace satsurf::conv {
 namespace {
 
 constexpr Index kSlabBytes = 640 << 10;  // leaves room for outputs and weights in a 1 MiB cache
-constexpr Index kFewOutputs = 1024;  // of a channel; below this mixing the kernels takes too long
-constexpr Index kMinRows = 4;        // below this the rows read twice outweigh the balance
+constexpr Index kMinRows = 4;            // below this the rows read twice outweigh the balance
 
 /// Zeros behind the last row of a plane stand in for the row that would follow.
 template <class T>
 Index plane_stride(const Axes& axes, Index rows) {
-  const Index pitch = row_pitch(axes[2]), borrowed = axes[2].most + axes[2].max_shift - pitch;
-  const Index lines = axes[1].reads * axes[2].reads * (rows + axes[1].max_shift);
+  const Index pitch = row_pitch(axes[2]),
+              borrowed = axes[2].most_outputs + axes[2].max_shift - pitch;
+  const Index lines = axes[1].input_phases * axes[2].input_phases * (rows + axes[1].max_shift);
   return odd_lines<T>(lines * pitch + borrowed);
 }
 
 /// Whole vectors are read, beyond the last output's columns.
 template <class T>
 Index tail(const Axes& axes) {
-  return axes[2].most + axes[2].max_shift + 2 * 64 / static_cast<Index>(sizeof(T));
-}
-
-void finish(Axis& axis) {
-  for (const AxisPhase& phase : axis.phases) {
-    axis.most = std::max(axis.most, phase.count);
-    for (const AxisTap& t : phase.taps) axis.max_shift = std::max(axis.max_shift, t.shift);
-  }
+  return axes[2].most_outputs + axes[2].max_shift + 2 * 64 / static_cast<Index>(sizeof(T));
 }
 
 }  // namespace
-
-Axes correlation_axes(const Geometry& g) {
-  Axes axes;
-  for (std::size_t a = 0; a < 3; ++a) {
-    Axis& axis = axes[a];
-    axis.size = g.x_size[a];
-    axis.reads = g.stride[a];
-    axis.left = g.padding[a];
-    AxisPhase all{.count = g.y_size[a], .taps = {}};
-    for (Index k = 0; k < g.kernel[a]; ++k) all.taps.push_back({k, k % axis.reads, k / axis.reads});
-    axis.phases.push_back(all);
-    finish(axis);
-  }
-  return axes;
-}
-
-Axes adjoint_axes(const Geometry& g) {
-  Axes axes;
-  for (std::size_t a = 0; a < 3; ++a) {
-    Axis& axis = axes[a];
-    const Index s = g.stride[a], p = g.padding[a];
-    axis.size = g.y_size[a];
-    // x[f + s m] gathers weight[k] y[m + (f + p - k) / s] over the k for which that divides.
-    Index lowest = p / s;
-    for (Index f = 0; f < s; ++f)
-      for (Index k = 0; k < g.kernel[a]; ++k)
-        if ((f + p - k) % s == 0) lowest = std::min(lowest, (f + p - k) / s);
-    axis.left = -lowest;
-    for (Index f = 0; f < s; ++f) {
-      AxisPhase phase{.count = std::max<Index>(0, (g.x_size[a] - f + s - 1) / s), .taps = {}};
-      for (Index k = 0; k < g.kernel[a]; ++k)
-        if ((f + p - k) % s == 0) phase.taps.push_back({k, 0, (f + p - k) / s - lowest});
-      axis.phases.push_back(phase);
-    }
-    finish(axis);
-  }
-  return axes;
-}
-
-Axes with_mixed_rows(Axes axes, Index B) {
-  using namespace winograd;
-  Axis& row = axes[1];
-  const Axis& column = axes[2];
-  if (row.reads != 1 || row.phases.size() != 1 || row.phases[0].taps.size() != kTaps) return axes;
-  // a row is mixed whole, without gaps and with zeros around it only
-  if (column.reads != 1 || column.phases.size() != 1 || column.left < 0 ||
-      column.left + column.size > row_pitch(column))
-    return axes;
-  const Index groups = ceil_div(row.most, kOutputs);
-  if (groups * kMixes >= row.most * kTaps) return axes;
-  if (B * axes[0].most * row.most * column.most < kFewOutputs) return axes;
-  for (const AxisTap& t : row.phases[0].taps)
-    row.kernel_order[static_cast<std::size_t>(t.shift)] = t.tap;
-  row.mixed = true;
-  row.reads = kMixes;
-  row.most = groups;
-  row.max_shift = 0;
-  row.phases.clear();
-  for (Index i = 0; i < kMixes; ++i)
-    row.phases.push_back({.count = groups, .taps = {{.tap = i, .phase = i, .shift = 0}}});
-  return axes;
-}
-
-Axes with_whole_columns(Axes axes, const Geometry& g) {
-  Axis& column = axes[2];
-  column.reads = 1;
-  column.most = (g.y_size[2] - 1) * g.stride[2] + 1;  // positions from the first output to the last
-  column.max_shift = g.kernel[2] - 1;
-  for (AxisTap& t : column.phases[0].taps) t = {t.tap, 0, t.tap};
-  return axes;
-}
-
-Index row_pitch(const Axis& axis) {
-  const auto input = [&](Index i, Index phase) { return i * axis.reads + phase - axis.left; };
-  const Index end = axis.most + axis.max_shift;
-  // With a pitch one smaller, index `pitch - 1` and those behind it would alias the next row's
-  // first ones.
-  const auto may_shrink = [&](Index pitch) {
-    for (Index i = pitch - 1; i < end; ++i)
-      for (Index f = 0; f < axis.reads; ++f)
-        if (input(i, f) < axis.size || input(i - (pitch - 1), f) >= 0) return false;
-    return true;
-  };
-  Index pitch = end;
-  while (pitch > axis.most && may_shrink(pitch)) --pitch;
-  return pitch;
-}
 
 template <class T>
 Rows<T>::Rows(const ConvKernels<T>& kernels, const Input<T>& input, Index channels, Index size,
@@ -156,7 +62,7 @@ Slab<T>::Slab(const ConvKernels<T>& kernels, const Axes& axes, const Input<T>& i
   // What lies between planes may serve as a row's trailing zeros; everything else load_plane
   // writes. Whole vectors at the end of a plane reach into the next, which may not be loaded yet:
   // what they read there must be finite, for it meets zeros of the other factor.
-  const Index used = axes[1].reads * axes[2].reads * line_rows_ * pitch_;
+  const Index used = axes[1].input_phases * axes[2].input_phases * line_rows_ * pitch_;
   for (Index c = 0; c < C_; ++c) {
     T* channel = buffer_.data() + c * c_stride_;
     for (Index i = 0; i < planes_; ++i) {
@@ -175,7 +81,7 @@ Index Slab<T>::bytes(const Axes& axes, Index C, Index rows, Index planes) {
 }
 
 template <class T>
-void Slab<T>::open(Index channel, Index row) {
+void Slab<T>::start(Index channel, Index row) {
   channel_ = channel;
   row_ = row;
   next_ = 0;
@@ -210,15 +116,15 @@ void Slab<T>::load_plane(Index plane) {
 template <class T>
 void Slab<T>::load_rows(const T* src, const T* next, Index channel, T* dst) {
   const Axis &row = axes_[1], &column = axes_[2];
-  for (Index f = 0; f < row.reads; ++f, dst += column.reads * line_rows_ * pitch_)
+  for (Index f = 0; f < row.input_phases; ++f, dst += column.input_phases * line_rows_ * pitch_)
     for (Index i = 0; i < line_rows_; ++i) {
-      const Index y = (row_ + i) * row.reads + f - row.left;
+      const Index y = (row_ + i) * row.input_phases + f - row.left;
       const bool inside = src != nullptr && y >= 0 && y < row.size;
       if (next != nullptr && y >= 0 && y < row.size)
-        expect(next + y * column.size, next + (y + 1) * column.size);
+        prefetch(next + y * column.size, next + (y + 1) * column.size);
       kernels_.rows.pad(inside ? rows_.read(src + y * column.size, channel, 0) : nullptr,
-                        inside ? column.size : 0, column.left, column.reads, dst + i * pitch_,
-                        line_rows_ * pitch_, pitch_);
+                        inside ? column.size : 0, column.left, column.input_phases,
+                        dst + i * pitch_, line_rows_ * pitch_, pitch_);
     }
 }
 
@@ -232,21 +138,21 @@ void Slab<T>::load_mixed_rows(const T* src, const T* next, Index channel, T* dst
     std::array<const T*, kMixes> rows;
     for (Index k = 0; k < kMixes; ++k) {
       const Index y = (row_ + i) * kOutputs + k - row.left;
-      const T*& at = rows[static_cast<std::size_t>(k)];
+      const T*& at = rows[k];
       if (src == nullptr || y < 0 || y >= row.size) {
         at = zeros_.data();
       } else if (y <= known) {
-        at = lines[static_cast<std::size_t>(y % kMixes)];
+        at = lines[y % kMixes];
       } else {
         at = rows_.read(src + y * column.size, channel, y % kMixes);
-        lines[static_cast<std::size_t>(y % kMixes)] = at;
+        lines[y % kMixes] = at;
         known = y;
       }
     }
     if (next != nullptr) {
       const Index first = (row_ + i) * kOutputs - row.left, fresh = i == 0 ? 0 : kMixes - kOutputs;
-      expect(next + std::max<Index>(0, first + fresh) * column.size,
-             next + std::min(row.size, first + kMixes) * column.size);
+      prefetch(next + std::max<Index>(0, first + fresh) * column.size,
+               next + std::min(row.size, first + kMixes) * column.size);
     }
     kernels_.rows.mix_input(rows.data(), column.size, column.left, dst + i * pitch_,
                             line_rows_ * pitch_, pitch_);
@@ -255,13 +161,15 @@ void Slab<T>::load_mixed_rows(const T* src, const T* next, Index channel, T* dst
 
 template <class T>
 Index Slab<T>::shift(Index m, const AxisTap& z, const AxisTap& y, const AxisTap& x) const {
-  const Index plane = (m + z.shift) * axes_[0].reads + z.phase;
-  const Index line = (y.phase * axes_[2].reads + x.phase) * line_rows_ + y.shift;
+  const Index plane = (m + z.shift) * axes_[0].input_phases + z.phase;
+  const Index line = (y.phase * axes_[2].input_phases + x.phase) * line_rows_ + y.shift;
   return plane % planes_ * plane_stride_ + line * pitch_ + x.shift;
 }
 
 Pieces::Pieces(Index B, const Axes& axes, Index most_rows, Index wanted)
-    : B_(B), D_(std::max<Index>(1, axes[0].most)), H_(std::max<Index>(1, axes[1].most)) {
+    : B_(B),
+      D_(std::max<Index>(1, axes[0].most_outputs)),
+      H_(std::max<Index>(1, axes[1].most_outputs)) {
   rows_ = std::clamp<Index>(most_rows, 1, H_);
   // Planes first: cutting between them costs little as long as two or more stay together.
   z_blocks_ = std::clamp<Index>(ceil_div(wanted, B * ceil_div(H_, rows_)), 1, ceil_div(D_, 2));
@@ -279,13 +187,9 @@ Piece Pieces::operator[](Index i) const {
   return {i / z_blocks_ / chunks_, row, std::min(rows_, H_ - row), z, std::min(D_, z + z_size_)};
 }
 
-std::array<Index, 3> kernel_of(const Axes& axes, const Geometry& g) {
-  return {g.kernel[0], axes[1].mixed ? winograd::kMixes : g.kernel[1], g.kernel[2]};
-}
-
 template <class T>
 Index rows_in_cache(const Axes& axes, Index C, Index planes) {
-  Index rows = std::max<Index>(1, axes[1].most);
+  Index rows = std::max<Index>(1, axes[1].most_outputs);
   while (rows > 1 && Slab<T>::bytes(axes, C, rows, planes) > kSlabBytes) rows -= ceil_div(rows, 8);
   return rows;
 }

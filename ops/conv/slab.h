@@ -2,69 +2,11 @@
 #pragma once
 
 #include "satsurf/core/tensor.h"
-#include "satsurf/ops/conv/engine.h"
+#include "satsurf/ops/conv/axes.h"
 
-#include <array>
-#include <vector>
-
-/// How the convolution engine lays out its input so that strides and padding vanish from the inner
-/// loops. Internal to ops/conv_*.cpp.
-///
-/// A slab is a zero-padded copy of some rows of every channel of an image. Along each axis the
-/// input is split into `reads` interleaved phases, so that what neighbouring outputs read is
-/// contiguous, and rows stand `pitch` elements apart: output (m_row, m_column) is position m_row *
-/// pitch + m_column and reads position + shift, with one shift per tap. Outputs whose stride
-/// exceeds 1 (the adjoint of a strided correlation) are split into phases as well, each with its
-/// own taps.
-///
-/// Rows of stride 1 and three taps can be mixed instead, as Winograd's minimal filtering F(4, 3)
-/// has it: six combinations of the input's rows 4 m .. 4 m + 5 take the place of the phases, each
-/// with one tap of its own, and the four output rows are combinations of the six results. That
-/// halves the multiplications and leaves columns, planes and channels as they are.
+/// The convolution engine's copy of its input, laid out as axes.h has it, and the pieces of work
+/// that each have a slab of their own. Internal to ops/conv.
 namespace satsurf::conv {
-
-/// One tap of one output phase along one axis.
-struct AxisTap {
-  Index tap;    ///< position in the kernel
-  Index phase;  ///< of the input
-  Index shift;  ///< index within that phase, relative to the output's
-};
-
-/// The outputs n = phase + m * (number of phases) along one axis.
-struct AxisPhase {
-  Index count = 0;  ///< of outputs
-  std::vector<AxisTap> taps;
-};
-
-struct Axis {
-  Index size = 0;   ///< of the input
-  Index reads = 1;  ///< input phases; slab index i of phase f holds input i * reads + f - left
-  Index left = 0;
-  bool mixed = false;  ///< phases are F(4, 3)'s; index i of each mixes inputs from 4 i - left on
-  Index max_shift = 0;
-  Index most = 0;  ///< outputs of the largest phase
-  std::vector<AxisPhase> phases;
-  std::array<Index, 3> kernel_order{};  ///< of a mixed axis: kernel positions by shift
-
-  /// Consecutive unsplit slab indices that one output of every phase reads.
-  Index span() const { return max_shift * reads + reads; }
-};
-
-using Axes = std::array<Axis, 3>;
-
-/// Layouts of a correlation (input x) and of its adjoint (input y).
-Axes correlation_axes(const Geometry& g);
-Axes adjoint_axes(const Geometry& g);
-
-/// The same with rows mixed as F(4, 3) has it where that saves work, else as they are.
-/// B  images; mixing the kernels has to pay for itself
-Axes with_mixed_rows(Axes axes, Index B);
-
-/// The same with unsplit columns, for outputs that read every `stride` elements of a row.
-Axes with_whole_columns(Axes axes, const Geometry& g);
-
-/// Smallest row pitch: the zeros behind a row may serve as those in front of the next.
-Index row_pitch(const Axis& columns);
 
 /// Rows of an input as a convolution is to see them: where they are, or normalised in a line of
 /// their own.
@@ -106,7 +48,7 @@ class Slab {
 
   /// Starts on the outputs from `row` on of the channels from `channel` on, numbered through all
   /// images; the ring is empty.
-  void open(Index channel, Index row);
+  void start(Index channel, Index row);
   /// Fills the ring with the padded planes [first, last).
   void load(Index first, Index last);
 
@@ -152,9 +94,6 @@ class Pieces {
   Index B_, D_, H_, rows_, chunks_, z_size_, z_blocks_;
 };
 
-/// Extents of the kernel as the slab's phases have it: mixed rows have six taps.
-std::array<Index, 3> kernel_of(const Axes& axes, const Geometry& g);
-
 /// An odd number of cache lines: strides near a multiple of 4 KiB would put all planes in the same
 /// sets.
 template <class T>
@@ -166,7 +105,7 @@ Index odd_lines(Index elements) {
 
 /// Asks for the elements [begin, end) ahead of their use.
 template <class T>
-void expect(const T* begin, const T* end) {
+void prefetch(const T* begin, const T* end) {
   constexpr Index kLine = 64 / static_cast<Index>(sizeof(T));
   for (const T* p = begin; p < end; p += kLine) {
     __builtin_prefetch(p, 0, 2);
@@ -177,7 +116,5 @@ void expect(const T* begin, const T* end) {
 /// Most output rows of which a slab of that many planes fits the cache.
 template <class T>
 Index rows_in_cache(const Axes& axes, Index C, Index planes);
-
-inline Index ceil_div(Index a, Index b) { return (a + b - 1) / b; }
 
 }  // namespace satsurf::conv

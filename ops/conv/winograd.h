@@ -4,7 +4,7 @@
 #include "satsurf/core/shape.h"
 
 /// Winograd's minimal filtering F(4, 3): four outputs y of a filter w of three taps from six
-/// products instead of twelve. Internal to ops/conv_*.cpp.
+/// products instead of twelve. Internal to ops/conv.
 ///
 ///   y = A [(G w) * (B x)]      y[j] = w[0] x[j] + w[1] x[j + 1] + w[2] x[j + 2]
 ///

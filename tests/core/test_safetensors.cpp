@@ -110,9 +110,9 @@ TEST_CASE("safetensors: broken headers are refused") {
   CHECK(complaint(shorter) ==
         std::string("the header claims 5 bytes, expected at most the 4 that follow") + kDamaged);
   CHECK(complaint(with_header(" {}")) ==
-        "the header does not begin with '{'; not a safetensors file?");
+        "the header begins otherwise, expected '{'; not a safetensors file?");
   CHECK(complaint(with_header("")) ==
-        "the header does not begin with '{'; not a safetensors file?");
+        "the header begins otherwise, expected '{'; not a safetensors file?");
   CHECK(complaint(with_header("{\"a\":")).starts_with("header: line 1, column 6: syntax error"));
   CHECK(complaint(with_header("{} {}")).starts_with("header: line 1, column 4: syntax error"));
   std::string deep = "{\"a\":";
@@ -130,9 +130,12 @@ TEST_CASE("safetensors: broken metadata is refused") {
 
 TEST_CASE("safetensors: broken entries are refused by name") {
   CHECK(complaint_about("7") == "tensor 't' is 7, expected an object");
-  CHECK(complaint_about(R"({"shape":[2],"data_offsets":[0,8]})") == "tensor 't' has no dtype");
-  CHECK(complaint_about(R"({"dtype":"F32","data_offsets":[0,8]})") == "tensor 't' has no shape");
-  CHECK(complaint_about(R"({"dtype":"F32","shape":[2]})") == "tensor 't' has no data_offsets");
+  CHECK(complaint_about(R"({"shape":[2],"data_offsets":[0,8]})") ==
+        "tensor 't' has no dtype, expected dtype, shape and data_offsets");
+  CHECK(complaint_about(R"({"dtype":"F32","data_offsets":[0,8]})") ==
+        "tensor 't' has no shape, expected dtype, shape and data_offsets");
+  CHECK(complaint_about(R"({"dtype":"F32","shape":[2]})") ==
+        "tensor 't' has no data_offsets, expected dtype, shape and data_offsets");
   CHECK(complaint_about(R"({"dtype":"F32","shape":[2],"data_offsets":[0,8],"x":1})") ==
         "tensor 't' has the key 'x', expected dtype, shape and data_offsets");
   CHECK(complaint_about(R"({"dtype":"BF16","shape":[4],"data_offsets":[0,8]})") ==
@@ -151,7 +154,7 @@ TEST_CASE("safetensors: broken entries are refused by name") {
                             "[4611686018427387906]", "[4611686018427387904,0]"}) {
     CHECK(complaint_about(std::string(R"({"dtype":"F32","shape":)") + shape +
                           R"(,"data_offsets":[0,8]})") ==
-          std::string("tensor 't' has shape ") + shape + ", which is more than any file holds");
+          std::string("tensor 't' has shape ") + shape + ", expected no more than a file can hold");
   }
   CHECK(complaint_about(R"({"dtype":"F32","shape":[2],"data_offsets":[0]})") ==
         "tensor 't' has data_offsets [0], expected [begin,end]");
@@ -248,7 +251,7 @@ TEST_CASE("safetensors: what cannot be opened or saved is named") {
   TensorFile g;
   g.metadata["k"] = "\xff";
   CHECK(error_of<IoError>([&] { save_safetensors(out, g); }) ==
-        out + ": a name or the metadata is not UTF-8");
+        out + ": a name or the metadata is something else, expected UTF-8");
   CHECK(std::filesystem::is_empty(folder.path()));
 }
 

@@ -26,8 +26,9 @@ TEST_CASE("shape: extents, counts and text") {
 
 TEST_CASE("shape: what cannot be a shape is refused") {
   CHECK_THROWS_WITH_AS(Shape({1, 1, 1, 1, 1, 1}), "Shape: rank 6, expected at most 5", ShapeError);
-  CHECK_THROWS_WITH_AS(Shape({2, -3}), "Shape: negative extent -3", ShapeError);
-  CHECK_THROWS_WITH_AS(Shape({2, 3}).with(0, -1), "Shape: negative extent -1", ShapeError);
+  CHECK_THROWS_WITH_AS(Shape({2, -3}), "Shape: extent -3, expected 0 or more", ShapeError);
+  CHECK_THROWS_WITH_AS(Shape({2, 3}).with(0, -1), "Shape: extent -1, expected 0 or more",
+                       ShapeError);
   CHECK_THROWS_WITH_AS(Shape({1 << 30, 1 << 30}),
                        "Shape: [1073741824,1073741824], expected at most 2^59 elements",
                        ShapeError);
@@ -97,33 +98,14 @@ TEST_CASE("tensor: misuse is refused with both shapes") {
   const Tensor t({2, 3});
   CHECK_THROWS_WITH_AS(t.reshaped({7}),
                        "Tensor::reshaped: from [2,3] to [7], expected equal counts", ShapeError);
-  CHECK_THROWS_WITH_AS(t.slice0(2), "Tensor::slice0: index 2 of shape [2,3]", ShapeError);
-  CHECK_THROWS_WITH_AS(t.slice0(-1), "Tensor::slice0: index -1 of shape [2,3]", ShapeError);
+  CHECK_THROWS_WITH_AS(
+      t.slice0(2), "Tensor::slice0: index 2, expected one of axis 0 of shape [2,3]", ShapeError);
+  CHECK_THROWS_WITH_AS(
+      t.slice0(-1), "Tensor::slice0: index -1, expected one of axis 0 of shape [2,3]", ShapeError);
   CHECK_THROWS_WITH_AS(static_cast<void>(t.item()),
                        "Tensor::item: shape [2,3], expected one element", ShapeError);
   CHECK_THROWS_WITH_AS(Tensor::from({2, 2}, {1, 2, 3}),
                        "Tensor::from: 3 values, expected 4 for shape [2,2]", ShapeError);
-}
-
-TEST_CASE("tensor: bytes in use are counted, and blocks come back") {
-  release_tensor_cache();
-  const std::size_t before = tensor_bytes();
-  reset_peak_tensor_bytes();
-  [[maybe_unused]] const void* address = nullptr;
-  constexpr Index kCount = 50'000;  // 200 000 bytes: large enough to be kept
-  {
-    const Tensor t({kCount});
-    address = t.data();
-    CHECK(tensor_bytes() == before + 200'000);
-    const Tensor alias = t;
-    CHECK(tensor_bytes() == before + 200'000);
-  }
-  CHECK(tensor_bytes() == before);
-  CHECK(peak_tensor_bytes() == before + 200'000);
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they keep freed blocks aside
-  CHECK(Tensor({kCount}).data() == address);
-#endif
-  release_tensor_cache();
 }
 
 TEST_CASE("dims: names are bound once and compared ever after") {
@@ -150,5 +132,6 @@ TEST_CASE("dims: the failing argument is named with what came and what was wante
                        "op: square has shape [4,5], expected [K K]", ShapeError);
   CHECK_THROWS_WITH_AS(dim.match("flat", Shape{30}, "A B"),
                        "op: flat has shape [30], expected [A B]", ShapeError);
-  CHECK_THROWS_WITH_AS(static_cast<void>(dim["Z"]), "op: extent Z was never bound", ShapeError);
+  CHECK_THROWS_WITH_AS(static_cast<void>(dim["Z"]),
+                       "op: extent Z, expected one that an argument has bound", ShapeError);
 }

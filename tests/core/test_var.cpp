@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/block_pool.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/var.h"
 

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/block_pool.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/hypotheses.h"

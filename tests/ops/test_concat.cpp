@@ -3,7 +3,6 @@
 #include "satsurf/ops/concat.h"
 
 #include "tests/gradcheck.h"
-#include "tests/isa_variants.h"
 
 using namespace satsurf;
 using test::gradcheck;
@@ -44,37 +43,6 @@ TEST_CASE("reshape shares the buffer") {
   CHECK(y.value().data() == x.value().data());
 }
 
-TEST_CASE("pixels_from_map makes one row per pixel") {
-  const auto x = normal({2, 3, 5, 7}, 4);
-  const auto y = pixels_from_map(BasicVar<double>(x)).value();
-  REQUIRE(y.shape() == Shape{70, 3});
-  for (Index n = 0; n < 2; ++n)
-    for (Index c = 0; c < 3; ++c)
-      for (Index p = 0; p < 35; ++p) CHECK(y[(n * 35 + p) * 3 + c] == x[(n * 3 + c) * 35 + p]);
-}
-
-TEST_CASE_TEMPLATE("transposition by every instruction set", T, float, double) {
-  constexpr Index kStride = 50, kOther = 41;
-  const auto x = normal({kStride, kStride}, 1).cast<T>();
-  const T guard = T(9);
-  for (const auto& k : test::layout_variants<T>())
-    for (const Index rows : {1, 3, 4, 13, 16, 33, 41})
-      for (const Index columns : {1, 2, 7, 8, 21, 32, 50})
-        for (const bool accumulate : {false, true}) {
-          CAPTURE(k.name);
-          CAPTURE(rows);
-          CAPTURE(columns);
-          BasicTensor<T> y({kStride, kOther}, guard);
-          k.transpose(rows, columns, x.data(), kStride, accumulate, y.data(), kOther);
-          for (Index j = 0; j < kStride; ++j)
-            for (Index i = 0; i < kOther; ++i) {
-              const T moved = x[i * kStride + j];
-              const T want = i >= rows || j >= columns ? guard : accumulate ? guard + moved : moved;
-              REQUIRE(y[j * kOther + i] == want);
-            }
-        }
-}
-
 TEST_CASE("gradients of the ops that move elements") {
   for (Index axis = 0; axis < 3; ++axis) {
     CAPTURE(axis);
@@ -87,8 +55,6 @@ TEST_CASE("gradients of the ops that move elements") {
     CHECK(gradcheck([=](const V& v) { return slice(v[0], axis, 1, 2); }, {normal(base, 7)}));
   }
   CHECK(gradcheck([](const V& v) { return reshape(v[0], {5, 6}); }, {normal({2, 3, 5}, 8)}));
-  CHECK(gradcheck([](const V& v) { return pixels_from_map(v[0]); }, {normal({2, 3, 5, 4}, 9)}));
-  CHECK(gradcheck([](const V& v) { return pixels_from_map(v[0]); }, {normal({2, 9, 3, 5}, 10)}));
 }
 
 TEST_CASE("concat hands a gradient only to the parts that want one") {
@@ -105,7 +71,7 @@ TEST_CASE("moving elements gives the same bits for any number of threads") {
   const auto run = [&](int threads) {
     set_threads(threads);
     const Var a(x, true);
-    const Var y = pixels_from_map(concat<float>({slice(a, 1, 1, 4), a}, 1));
+    const Var y = concat<float>({slice(a, 1, 1, 4), a}, 1);
     y.backward(Tensor(y.shape(), 0.1f));
     set_threads(0);
     return std::vector<Tensor>{y.value(), a.grad()};
@@ -137,7 +103,5 @@ TEST_CASE("ops that move elements refuse") {
                        ShapeError);
   CHECK_THROWS_WITH_AS(reshape(a, {4, 2}),
                        "reshape: x has shape [2,3], expected as many elements as [4,2]",
-                       ShapeError);
-  CHECK_THROWS_WITH_AS(pixels_from_map(a), "pixels_from_map: x has shape [2,3], expected [N C H W]",
                        ShapeError);
 }

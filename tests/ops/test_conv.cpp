@@ -76,15 +76,6 @@ conv::Geometry geometry(const Case& c) {
   return g;
 }
 
-bool available(Isa isa) { return static_cast<int>(isa) <= static_cast<int>(active_isa()); }
-
-template <class T>
-const ConvKernels<T>& kernels_of(Isa isa) {
-  return isa == Isa::avx512 ? isa_avx512::conv_kernels<T>()
-         : isa == Isa::avx2 ? isa_avx2::conv_kernels<T>()
-                            : isa_baseline::conv_kernels<T>();
-}
-
 /// Largest |a - b| over the largest |b|.
 template <class T>
 double difference(const BasicTensor<T>& a, const Doubles& b) {
@@ -188,7 +179,7 @@ ExpectedNormalised expected(const Case& c, Activation activation) {
 /// Inputs that are normalised while they are read, in every role.
 template <class T>
 void check_normalised_case(const ExpectedNormalised& e, Isa isa) {
-  const auto& kernels = kernels_of<T>(isa);
+  const auto kernels = kernels_for<ConvKernels<T>>(isa);
   const double tolerance = sizeof(T) == 4 ? 3e-6 : 1e-14;
   const auto xt = e.x.cast<T>(), yt = e.y.cast<T>(), wt = e.w.cast<T>(), by_xt = e.by_x.cast<T>(),
              by_yt = e.by_y.cast<T>();
@@ -208,7 +199,7 @@ void check_normalised_case(const ExpectedNormalised& e, Isa isa) {
 
 template <class T>
 void check_case(const Expected& e, Isa isa) {
-  const auto& kernels = kernels_of<T>(isa);
+  const auto kernels = kernels_for<ConvKernels<T>>(isa);
   const conv::Geometry& g = e.g;
   const double tolerance = sizeof(T) == 4 ? 3e-6 : 1e-14;
   const auto bias_y = normal({g.O}, 4), bias_x = normal({g.C}, 5), first_w = normal(e.w.shape(), 6);
@@ -273,8 +264,8 @@ BasicVar<double> var(const Shape& shape) { return BasicVar<double>(BasicTensor<d
 TEST_CASE("convolution kernels agree with nested loops on every instruction set") {
   for (const Case& c : kCases) {
     const Expected e = expected(c);
-    for (const Isa isa : {Isa::baseline, Isa::avx2, Isa::avx512}) {
-      if (!available(isa)) continue;
+    for (const Isa isa : kAllIsas) {
+      if (!isa_available(isa)) continue;
       CAPTURE(std::string(isa_name(isa)));
       CAPTURE(std::string(c.name));
       check_case<float>(e, isa);
@@ -289,8 +280,8 @@ TEST_CASE("convolutions normalise their inputs while they read them") {
     constexpr Activation kAll[] = {Activation::relu, Activation::gelu, Activation::none};
     const ExpectedNormalised first = expected(c, kAll[next++ % 3]),
                              second = expected(c, kAll[next % 3]);
-    for (const Isa isa : {Isa::baseline, Isa::avx2, Isa::avx512}) {
-      if (!available(isa)) continue;
+    for (const Isa isa : kAllIsas) {
+      if (!isa_available(isa)) continue;
       CAPTURE(std::string(isa_name(isa)));
       CAPTURE(std::string(c.name));
       check_normalised_case<float>(first, isa);

@@ -25,15 +25,6 @@ Shape matrix(Index rows, Index columns, bool transposed) {
   return transposed ? Shape{columns, rows} : Shape{rows, columns};
 }
 
-bool available(Isa isa) { return static_cast<int>(isa) <= static_cast<int>(active_isa()); }
-
-template <class T>
-const MatmulKernels<T>& kernels_of(Isa isa) {
-  return isa == Isa::avx512 ? isa_avx512::matmul_kernels<T>()
-         : isa == Isa::avx2 ? isa_avx2::matmul_kernels<T>()
-                            : isa_baseline::matmul_kernels<T>();
-}
-
 /// Factors of a product, numbers that a float holds, and the sums it stands for.
 struct Product {
   Index M, N, K;
@@ -83,8 +74,8 @@ void check_gemm(const Product& p, Isa isa, bool ta, bool tb) {
     std::vector<T> out(count + 2 * kGuard, T(7));
     if (!accumulate)  // what was there must not be read
       std::fill_n(out.begin() + kGuard, count, std::numeric_limits<T>::quiet_NaN());
-    gemm(kernels_of<T>(isa), p.M, p.N, p.K, a.data(), ta, b.data(), tb, out.data() + kGuard,
-         accumulate);
+    gemm(kernels_for<MatmulKernels<T>>(isa), p.M, p.N, p.K, a.data(), ta, b.data(), tb,
+         out.data() + kGuard, accumulate);
     bool right = true, untouched = true;
     for (std::size_t i = 0; i < count; ++i) {
       const auto o = static_cast<Index>(i);
@@ -111,8 +102,8 @@ TEST_CASE("gemm agrees with the sums it stands for") {
       {70, 261, 301}};                                              // groups of panels
   for (const auto& [M, N, K] : sizes) {
     const Product p(M, N, K);
-    for (const Isa isa : {Isa::baseline, Isa::avx2, Isa::avx512}) {
-      if (!available(isa)) continue;
+    for (const Isa isa : kAllIsas) {
+      if (!isa_available(isa)) continue;
       for (const bool ta : kBoth)
         for (const bool tb : kBoth) {
           CAPTURE(std::string(isa_name(isa)));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/loss.h"
+#include "satsurf/ops/loss_kernels.h"
 #include "satsurf/ops/reduce.h"
 
 #include <cmath>
@@ -84,7 +85,7 @@ TEST_CASE_TEMPLATE("loss kernels of every instruction set", T, float, double) {
   for (Index i = 3; i < kMost; i += 7) weight[i] = 0;
   auto holes = target.clone();
   for (Index i = 3; i < kMost; i += 7) holes[i] = nan;
-  for (const auto& k : test::loss_variants<T>())
+  for (const auto& k : test::kernel_variants<LossKernels<T>>())
     for (const Index n : {1, 2, 3, 4, 7, 8, 15, 16, 17, 33, 5003})
       for (const bool weighted : {false, true})
         for (const Distance distance : {Distance::squared, Distance::smooth_l1}) {
@@ -116,7 +117,7 @@ TEST_CASE_TEMPLATE("loss kernels of every instruction set", T, float, double) {
 }
 
 TEST_CASE("a NaN that has a weight stays visible in a loss") {
-  for (const auto& k : test::loss_variants<float>())
+  for (const auto& k : test::kernel_variants<LossKernels<float>>())
     for (const Distance distance : {Distance::squared, Distance::smooth_l1}) {
       CAPTURE(k.name);
       const float nan = std::numeric_limits<float>::quiet_NaN();

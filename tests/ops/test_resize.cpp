@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/resize.h"
+#include "satsurf/ops/resize_kernels.h"
 
 #include <algorithm>
 #include <array>
@@ -77,7 +78,7 @@ TEST_CASE_TEMPLATE("resize kernels of every instruction set", T, float, double) 
   const T weight[] = {T(0.25), T(-2), T(1), T(0.5), T(3)};
   const T* rows[5];
   for (Index r = 0; r < 5; ++r) rows[r] = x.data() + r * (2 * kMost + 2) + 1;
-  for (const auto& k : test::resize_variants<T>())
+  for (const auto& k : test::kernel_variants<ResizeKernels<T>>())
     for (const Index n : {1, 2, 3, 7, 8, 9, 15, 16, 17, 31, 67}) {
       CAPTURE(k.name);
       CAPTURE(n);

@@ -172,7 +172,7 @@ TEST_CASE_TEMPLATE("ssim kernels of every instruction set agree with plain loops
     terms.window[r] = static_cast<T>(0.2 - 0.03 * static_cast<double>(r));
   terms.covariance = T(1.25), terms.c1 = T(0.01), terms.c2 = T(0.02);
   const auto weight = [&](Index k) { return static_cast<double>(terms.window[std::abs(k)]); };
-  for (const auto& kernels : test::ssim_variants<T>())
+  for (const auto& kernels : test::kernel_variants<SsimKernels<T>>())
     for (const Index n : {1, 4, 16, 19, 37}) {
       CAPTURE(kernels.name);
       CAPTURE(n);

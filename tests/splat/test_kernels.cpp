@@ -2,6 +2,7 @@
 #include "satsurf/core/isa.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/splat/rasterize_kernels.h"
+#include "satsurf/splat/surfel_kernels.h"
 
 #include <cmath>
 #include <utility>
@@ -15,16 +16,6 @@ namespace {
 
 using namespace splat;
 
-/// The kernels of every instruction set that this processor has.
-template <class T>
-std::vector<std::pair<const char*, Kernels<T>>> all_kernels() {
-  std::vector<std::pair<const char*, Kernels<T>>> out{
-      {"baseline", isa_baseline::splat_kernels<T>()}};
-  if (active_isa() != Isa::baseline) out.push_back({"avx2", isa_avx2::splat_kernels<T>()});
-  if (active_isa() == Isa::avx512) out.push_back({"avx512", isa_avx512::splat_kernels<T>()});
-  return out;
-}
-
 template <class T>
 struct Drawn {
   BasicTensor<T> maps, median;
@@ -33,16 +24,18 @@ struct Drawn {
 
 /// What rasterize does, one tile after the other, with kernels of one's choice.
 template <class T>
-Drawn<T> draw(const Kernels<T>& kernels, const BasicSurfels<T>& s, const BasicProjection<T>& camera,
+Drawn<T> draw(Isa isa, const BasicSurfels<T>& s, const BasicProjection<T>& camera,
               const RasterOptions& o, const BasicTensor<T>& g) {
   const Index P = s.means.dim(0), K = s.aux.dim(1), H = o.height, W = o.width;
+  const auto surfels = kernels_for<SurfelKernels<T>>(isa);
+  const auto pixels = kernels_for<TileKernels<T>>(isa);
   BasicTensor<T> records({P, kRecord});
   std::vector<Box> boxes(static_cast<std::size_t>(P));
   const SurfelArrays<T> in{
       s.means.value().data(),   s.quats.value().data(),   s.scales.value().data(),
       s.opacity.value().data(), s.colours.value().data(), s.aux.value().data(),
       camera.pixels.data(),     camera.jacobians.data(),  K};
-  kernels.prepare(in, H, W, o.smooth_cutoffs, 0, P, records.data(), boxes.data());
+  surfels.prepare(in, H, W, o.smooth_cutoffs, 0, P, records.data(), boxes.data());
   const TileLists tiles = bin(boxes, front_to_back(boxes, records.data() + kHeight, kRecord), H, W);
   const Scene<T> scene{records.data(),  boxes.data(), s.aux.value().data(), K, H, W, {},
                        o.smooth_cutoffs};
@@ -57,14 +50,14 @@ Drawn<T> draw(const Kernels<T>& kernels, const BasicSurfels<T>& s, const BasicPr
                       tiles.surfels.data() + tiles.first[static_cast<std::size_t>(t)],
                       tiles.count(t)};
     BasicTensor<T> scratch({kBackwardPlanes + 2 * K, kTile, kTile});
-    kernels.forward(scene, job, scratch.data(), out.maps.data(), out.median.data());
-    kernels.backward(scene, job, out.maps.data(), g.data(), first.data(), scratch.data(),
-                     slots.data());
+    pixels.forward(scene, job, scratch.data(), out.maps.data(), out.median.data());
+    pixels.backward(scene, job, out.maps.data(), g.data(), first.data(), scratch.data(),
+                    slots.data());
   }
   for (const auto* v : {&s.means, &s.quats, &s.scales, &s.opacity, &s.colours, &s.aux})
     out.grads.push_back(BasicTensor<T>(v->shape()));
   auto& d = out.grads;
-  kernels.gather(in, first.data(), slots.data(), 0, P,
+  surfels.gather(in, first.data(), slots.data(), 0, P,
                  {d[0].data(), d[1].data(), d[2].data(), d[3].data(), d[4].data(), d[5].data()});
   return out;
 }
@@ -93,10 +86,11 @@ TEST_CASE(
     const auto camera = project(s.means.value(), oblique_camera(0, 0));
     const auto want = splat_reference(s, camera, o);
     const BasicTensor<float> g({kMaps + K, height, width}, 1.f);
-    for (const auto& [name, kernels] : all_kernels<float>()) {
-      CAPTURE(name);
+    for (const Isa isa : kAllIsas) {
+      if (!isa_available(isa)) continue;
+      CAPTURE(isa_name(isa));
       CAPTURE(P);
-      const auto got = draw(kernels, s, camera, o, g);
+      const auto got = draw(isa, s, camera, o, g);
       Index doubtful = 0, flips = 0;
       double worst = 0;
       for (Index i = 0; i < height * width; ++i) {
@@ -151,14 +145,16 @@ TEST_CASE("rasterize in float and double, every instruction set: one gradient") 
       CHECK(off <= outliers);
     }
   };
-  for (const auto& [name, kernels] : all_kernels<double>()) {
-    CAPTURE(name);
-    compare(draw(kernels, wide, camera, o, g).grads, 1e-10, 0);
+  for (const Isa isa : kAllIsas) {
+    if (!isa_available(isa)) continue;
+    CAPTURE(isa_name(isa));
+    compare(draw(isa, wide, camera, o, g).grads, 1e-10, 0);
   }
-  for (const auto& [name, kernels] : all_kernels<float>()) {
-    CAPTURE(name);
+  for (const Isa isa : kAllIsas) {
+    if (!isa_available(isa)) continue;
+    CAPTURE(isa_name(isa));
     // A contribution at the edge of a cutoff may be in or out: a few elements may differ more.
-    compare(draw(kernels, s, narrow, o, g.cast<float>()).grads, 1e-3, 10);
+    compare(draw(isa, s, narrow, o, g.cast<float>()).grads, 1e-3, 10);
   }
 }
 

@@ -187,7 +187,7 @@ TEST_CASE("ply: damaged files are refused in one line") {
   CHECK(after("property float rot_2", "property uchar rot_2") ==
         "'property uchar rot_2', expected one vertex element of float properties");
   CHECK(after("property float rot_2", "property float rot_1") == "property rot_1 comes twice");
-  CHECK(after("rot_2", "rot_9") == "property rot_2 is missing");
+  CHECK(after("rot_2", "rot_9") == "property rot_2 is missing, expected all of a splat's");
   CHECK(after("end_header", "") == "empty line in the header");
   for (const std::size_t cut :
        {std::size_t{0}, std::size_t{3}, std::size_t{50}, bytes.size() - 1}) {

@@ -361,7 +361,8 @@ TEST_CASE("rasterize: wrong shapes are refused by name") {
                        ShapeError);
   s = good;
   s.opacity = {};
-  CHECK_THROWS_WITH_AS(splat::rasterize(s, camera, o), "rasterize: opacity is missing", ShapeError);
+  CHECK_THROWS_WITH_AS(splat::rasterize(s, camera, o),
+                       "rasterize: opacity is missing, expected all but aux", ShapeError);
   CHECK_THROWS_WITH_AS(splat::rasterize(good, camera, image(0, 5)),
                        "rasterize: image of 0 x 5 pixels, expected 1 to 1048576 each way",
                        ShapeError);
