@@ -17,7 +17,7 @@ double mean_parallax(const NetworkInput& scene) {
   for (std::size_t i = 0; i < N; ++i)
     for (std::size_t j = 0; j < N; ++j) {
       if (i == j) continue;
-      const auto jac = scene.transfer[i][j].jacobian(x, y, 0.5 * (scene.z_low + scene.z_high));
+      const auto jac = scene.transfer[i][j].jacobian(x, y, scene.z_range.middle());
       sum += std::hypot(jac[0][2], jac[1][2]);
     }
   return sum / static_cast<double>(N * (N - 1));
@@ -27,8 +27,7 @@ std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const Netw
   constexpr double kNoParallax = 1e-6;  // px per m; views from one direction carry no height
   const double last = std::clamp(config.interval_px / std::max(mean_parallax(scene), kNoParallax),
                                  config.interval_min, config.interval_max);
-  return {(scene.z_high - scene.z_low) / static_cast<double>(config.hypotheses[0] - 1), 2 * last,
-          last};
+  return {scene.z_range.span() / static_cast<double>(config.hypotheses[0] - 1), 2 * last, last};
 }
 
 template <class T>

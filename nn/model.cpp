@@ -57,9 +57,9 @@ void check(const ModelConfig& config, const NetworkInput& scene) {
   if (scene.transfer.size() != N || std::any_of(scene.transfer.begin(), scene.transfer.end(),
                                                 [N](const auto& row) { return row.size() != N; }))
     throw ShapeError("model: expected a pixel transfer for every pair of views");
-  if (!(scene.z_high > scene.z_low))
-    throw ConfigError("model: height range " + std::to_string(scene.z_low) + " to " +
-                      std::to_string(scene.z_high) + ", expected a positive span");
+  if (!scene.z_range.has_span())
+    throw ConfigError("model: height range " + std::to_string(scene.z_range.low) + " to " +
+                      std::to_string(scene.z_range.high) + ", expected a positive span");
 }
 
 /// The constructor of the model refuses what no network can be built from.
@@ -264,15 +264,17 @@ class BasicModel<T>::Parts::Pass {
     StageOutput<T>& stage = out_[s];
     stage.choices = D;
     if (s == 0) {
-      stage.hypotheses = uniform_hypotheses<T>(scene_.z_low, scene_.z_high, views_, D, h, w);
+      stage.hypotheses =
+          uniform_hypotheses<T>(scene_.z_range.low, scene_.z_range.high, views_, D, h, w);
       return;
     }
     const NoGrad no_grad;
     const BasicVar<T> centre = resize_bilinear(out_[s - 1].height.detach(), h, w);
     // a surface at the very edge of the range stays inside the band
     const double margin = 2 * intervals_[s];
-    stage.hypotheses = narrowed_hypotheses(centre.value(), intervals_[s], D, scene_.z_low - margin,
-                                           scene_.z_high + margin);
+    stage.hypotheses =
+        narrowed_hypotheses(centre.value(), intervals_[s], D, scene_.z_range.low - margin,
+                            scene_.z_range.high + margin);
   }
 
   /// Every view in turn is the reference: variance volume, regularisation, logits; then heights and
@@ -378,7 +380,7 @@ class BasicModel<T>::Parts::Pass {
       input.push_back(reshape(of_view(sure, i), Shape{1, 1, height(s), width(s)}));
       raw.push_back(net_.stages[s].head(concat(input, 1)));
     }
-    const double z_mid = 0.5 * (scene_.z_low + scene_.z_high);
+    const double z_mid = scene_.z_range.middle();
     std::vector<PixelGeometry> geometry;
     for (const PosedImage& v : scene_.sources)
       geometry.push_back(pixel_geometry(v, z_mid, stage.stride));
