@@ -45,7 +45,9 @@ void warn_of_datum(const evaluate::HeightScores& s) {
 }
 
 /// The true cells that count; empty for all.
-Tensor mask_of(const EvaluateDsmOptions& options, const evaluate::DsmPair& pair) {
+/// cameras  of the images of --seen-by
+Tensor mask_of(const EvaluateDsmOptions& options, const evaluate::DsmPair& pair,
+               const std::vector<evaluate::ImageCamera>& cameras) {
   Tensor mask;
   if (options.mask_water) {
     if (options.classes.empty())
@@ -56,15 +58,10 @@ Tensor mask_of(const EvaluateDsmOptions& options, const evaluate::DsmPair& pair)
                     ", expected the truth's " + pair.truth.z.shape().str());
     mask = evaluate::not_water(classes.values);
   }
-  if (options.seen_by.empty()) return mask;
+  if (cameras.empty()) return mask;
   if (!pair.frame)
     throw IoError(options.dsm.string() + " and " + options.truth.string() +
                   ": no coordinate system, expected a UTM zone to place the images of --seen-by");
-  std::vector<evaluate::ImageCamera> cameras;
-  for (const fs::path& file : options.seen_by) {
-    const rpc::RasterInfo info = rpc::view_info(file, options.image_dirs);
-    cameras.push_back({*info.rpc, info.width, info.height});
-  }
   Tensor seen = evaluate::seen_by_two(pair.truth, *pair.frame, cameras);
   for (Index i = 0; i < mask.count(); ++i) seen[i] *= mask[i];
   return seen;
@@ -76,15 +73,17 @@ void run_evaluate_dsm(const EvaluateDsmOptions& options) {
   const evaluate::Registration registration = evaluate::registration_from(options.registration);
   std::vector<fs::path> inputs{options.dsm, options.truth};
   if (!options.classes.empty()) inputs.push_back(options.classes);
+  std::vector<evaluate::ImageCamera> cameras;
   for (const fs::path& file : options.seen_by) {
     const rpc::RasterInfo info = rpc::view_info(file, options.image_dirs);
+    cameras.push_back({*info.rpc, info.width, info.height});
     inputs.insert(inputs.end(), info.files.begin(), info.files.end());
   }
   check_output_file("--error-map", options.picture, options.overwrite, inputs);
   check_output_file("--json", options.json, options.overwrite, inputs);
   check_distinct({options.picture, options.json});
   const evaluate::DsmPair pair = evaluate::load_dsm_pair(options.dsm, options.truth);
-  const Tensor mask = mask_of(options, pair);
+  const Tensor mask = mask_of(options, pair, cameras);
   evaluate::DsmComparison c;
   try {
     c = evaluate::compare_dsm(pair.prediction, pair.truth, registration, mask);

@@ -4,7 +4,7 @@
 #include "satsurf/core/safetensors.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/rpc/read.h"
-#include "satsurf/scene/user_images.h"
+#include "satsurf/scene/view_geometry.h"
 
 #include <cmath>
 #include <cstdio>
@@ -20,8 +20,7 @@ namespace {
 /// The height at which footprints and angles are told: the middle of the range, or the camera's
 /// own.
 double reference_height(const rpc::RasterInfo& info) {
-  return info.height_range ? (info.height_range->low + info.height_range->high) / 2
-                           : info.rpc->height_off;
+  return info.height_range ? info.height_range->middle() : info.rpc->height_off;
 }
 
 void print_camera(const rpc::RasterInfo& info) {

@@ -13,7 +13,7 @@
 #include "satsurf/mesh/surface.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/reconstruct.h"
-#include "satsurf/reconstruct/surface_view.h"
+#include "satsurf/reconstruct/rendered_view.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/scene/user_images.h"
@@ -46,23 +46,13 @@ double mean_of(const Tensor& t) {
 /// throws ConfigError for a range that holds no surface
 void check_range(const rpc::HeightRange& range) {
   constexpr double kLeastSpan = 1;  // m
-  if (range.high - range.low >= kLeastSpan) return;
+  if (range.span() >= kLeastSpan) return;
   char text[120];
   std::snprintf(text, sizeof text,
                 "--height-range: %.10g %.10g, expected the lower height first and a span of at "
                 "least %g m",
                 range.low, range.high, kLeastSpan);
   throw ConfigError(text);
-}
-
-/// Every file that is read: the weights, then those of the images.
-std::vector<fs::path> input_files(const ReconstructCommand& options, const fs::path& weights) {
-  std::vector<fs::path> inputs{weights};
-  for (const fs::path& file : options.images) {
-    const rpc::RasterInfo info = rpc::view_info(file, options.image_dirs);
-    inputs.insert(inputs.end(), info.files.begin(), info.files.end());
-  }
-  return inputs;
 }
 
 /// What was asked for, for the record.
@@ -81,7 +71,7 @@ nlohmann::json config_json(const ReconstructCommand& options, const fs::path& we
 void note_range(const scene::RangeChoice& choice, Progress& progress) {
   char text[256];
   std::snprintf(text, sizeof text, "height range %.1f to %.1f m above the ellipsoid, %s",
-                choice.range.low, choice.range.high, choice.source.c_str());
+                choice.height_range.low, choice.height_range.high, choice.source.c_str());
   progress.note(text);
 }
 
@@ -99,8 +89,8 @@ void warn_of_fit(const reconstruct::Reconstruction& made, Progress& progress) {
 
 void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene& user) {
   const rpc::LocalFrame& frame = user.scene.frame;
-  std::printf("height range  %.1f to %.1f m above the ellipsoid, %s\n", user.range.range.low,
-              user.range.range.high, user.range.source.c_str());
+  std::printf("height range  %.1f to %.1f m above the ellipsoid, %s\n", user.range.height_range.low,
+              user.range.height_range.high, user.range.source.c_str());
   std::printf("ground        EPSG:%d, east %.0f to %.0f, north %.0f to %.0f (%.0f m x %.0f m)\n",
               frame.zone.epsg(), plan.ground.x0 + frame.easting0, plan.ground.x1 + frame.easting0,
               plan.ground.y0 + frame.northing0, plan.ground.y1 + frame.northing0,
@@ -139,20 +129,19 @@ void write_surface(const OutputFolder& folder, const reconstruct::Reconstruction
 
 /// The surface as the cameras of the images see it.
 struct RenderedViews {
-  std::vector<Tensor> colours;            ///< [3 H W]
-  std::vector<mesh::HeightView> heights;  ///< with the colours of the images; empty unless wanted
+  std::vector<Tensor> colours;             ///< [3 H W]
+  std::vector<mesh::HeightImage> heights;  ///< with the colours of the images; empty unless wanted
 };
 
-RenderedViews render_views(const reconstruct::Reconstruction& made, const scene::Scene& scene,
-                           bool heights, Progress& progress) {
+RenderedViews render_views(const reconstruct::Reconstruction& made, bool heights,
+                           Progress& progress) {
   RenderedViews out;
-  for (std::size_t i = 0; i < scene.views.size(); ++i) {
-    progress.update("render", static_cast<double>(i) / static_cast<double>(scene.views.size()));
+  for (std::size_t i = 0; i < made.images.size(); ++i) {
+    progress.update("render", static_cast<double>(i) / static_cast<double>(made.images.size()));
     if (interrupted()) throw Interrupted{};
-    const scene::View& view = scene.views[i];
-    reconstruct::SurfaceView seen = reconstruct::rendered_view(made.surfels, view, scene);
-    out.colours.push_back(std::move(seen.colour));
-    if (heights) out.heights.push_back(std::move(seen.heights));
+    reconstruct::RenderedView view = reconstruct::rendered_view(made.surfels, made.images[i]);
+    out.colours.push_back(std::move(view.colour));
+    if (heights) out.heights.push_back(std::move(view.heights));
   }
   progress.update("render", 1);
   return out;
@@ -182,7 +171,7 @@ void write_pictures(const OutputFolder& folder, const reconstruct::Reconstructio
 }
 
 /// Fuses what the views see into a mesh, writes it and says what it is.
-nlohmann::ordered_json write_mesh(const fs::path& file, const std::vector<mesh::HeightView>& seen,
+nlohmann::ordered_json write_mesh(const fs::path& file, const std::vector<mesh::HeightImage>& seen,
                                   const reconstruct::Reconstruction& made,
                                   const rpc::LocalFrame& frame) {
   const auto start = std::chrono::steady_clock::now();
@@ -235,7 +224,7 @@ nlohmann::json results_json(const reconstruct::Reconstruction& made, const scene
           {"resolution", made.dsm.step},
           {"crs", "EPSG:" + std::to_string(user.scene.frame.zone.epsg())},
           {"vertical_datum", "WGS84 ellipsoid"},
-          {"height_range", {user.range.range.low, user.range.range.high}},
+          {"height_range", {user.range.height_range.low, user.range.height_range.high}},
           {"height_range_source", user.range.source},
           {"lowest", summary.heights.low},
           {"highest", summary.heights.high},
@@ -272,16 +261,14 @@ void run_reconstruct(const ReconstructCommand& options) {
   if (options.height_range) check_range(*options.height_range);
   const NoGrad no_grad;
   const fs::path weights = find_weights(options.weights);
-  const std::vector<fs::path> inputs = input_files(options, weights);
-  std::vector<fs::path> apart = inputs;
+  std::vector<fs::path> apart{weights};
+  apart.insert(apart.end(), options.images.begin(), options.images.end());
   apart.insert(apart.end(), options.image_dirs.begin(), options.image_dirs.end());
   std::optional<OutputFolder> staged;
   if (!options.dry_run)
     staged.emplace(OutputFolder::staged(options.out, options.overwrite, std::move(apart)));
   const nn::Model model = nn::load_model(weights);
   RunRecord record("reconstruct", config_json(options, weights), 0);
-  if (!options.dry_run)
-    for (const fs::path& file : inputs) record.add_input(file);
 
   Progress progress;
   progress.update("read", 0);
@@ -293,6 +280,13 @@ void run_reconstruct(const ReconstructCommand& options) {
   poll();
   const scene::Scene& scene = user.scene;
   note_range(user.range, progress);
+  if (staged) {
+    std::vector<fs::path> inputs{weights};
+    for (const scene::View& view : scene.views)
+      inputs.insert(inputs.end(), view.files.begin(), view.files.end());
+    staged->add_inputs(inputs);
+    for (const fs::path& file : inputs) record.add_input(file);
+  }
 
   const auto start = std::chrono::steady_clock::now();
   reconstruct::ReconstructOptions how;
@@ -312,9 +306,9 @@ void run_reconstruct(const ReconstructCommand& options) {
 
   progress.update("write", 0);
   write_surface(folder, made, scene.frame);
-  std::vector<mesh::HeightView> seen;
+  std::vector<mesh::HeightImage> seen;
   {
-    RenderedViews rendered = render_views(made, scene, options.mesh, progress);
+    RenderedViews rendered = render_views(made, options.mesh, progress);
     write_pictures(folder, made, scene, rendered, progress);
     seen = std::move(rendered.heights);
   }

@@ -5,8 +5,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/core/var.h"
 #include "satsurf/nn/model.h"
-#include "satsurf/reconstruct/reconstruct.h"
-#include "satsurf/reconstruct/surface_view.h"
+#include "satsurf/rpc/fit.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/splat/ply.h"
@@ -60,15 +59,18 @@ void run_render(const RenderCommand& options) {
   const rpc::LocalFrame frame = frame_from_comments(content.comments, options.surfels.string());
   const Tensor& means = content.surfels.means.value();
   const auto [z_low, z_high] = column_range(means, 2);
-  if (!(z_low <= z_high))
+  const rpc::HeightRange z_range{z_low, z_high};
+  if (!(z_range.low <= z_range.high))
     throw IoError(options.surfels.string() + ": no surfels, expected a surface");
 
   if (image) {
     check_cells(options.image.string() + ": ", image->width, image->height, "");
-    const auto render = splat::render_view(
-        content.surfels,
-        reconstruct::image_camera(*image->rpc, frame, image->width, image->height, z_low, z_high),
-        image->height, image->width, 1);
+    constexpr double kMargin = 1;  // m; a flat surface still needs a span to fit a camera over
+    const rpc::Window whole{0, 0, static_cast<double>(image->width),
+                            static_cast<double>(image->height)};
+    const Quadratic camera =
+        rpc::fit_projection(*image->rpc, frame, whole, z_range.widened(kMargin));
+    const auto render = splat::render_view(content.surfels, camera, image->height, image->width, 1);
     const auto alpha = render.alpha.value().values();
     if (std::none_of(alpha.begin(), alpha.end(), [](float a) { return a > 0.05f; }))
       throw Error("render: " + options.image.string() + " sees nothing of " +

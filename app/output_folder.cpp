@@ -132,6 +132,11 @@ OutputFolder OutputFolder::staged(const fs::path& folder, bool overwrite,
   return out;
 }
 
+void OutputFolder::add_inputs(const std::vector<fs::path>& inputs) {
+  inputs_.insert(inputs_.end(), inputs.begin(), inputs.end());
+  check(named_, target_, overwrite_, inputs_);
+}
+
 OutputFolder OutputFolder::in_place(const fs::path& folder) {
   const fs::path target = resolved(folder);
   if (fs::exists(target) && !fs::is_directory(target))

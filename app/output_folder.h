@@ -22,6 +22,9 @@ class OutputFolder {
   ///            working folder, the home folder or one above them
   static OutputFolder staged(const std::filesystem::path& folder, bool overwrite,
                              std::vector<std::filesystem::path> inputs = {});
+  /// Names more files the run reads, known only since they are read.
+  /// throws  IoError as `staged`
+  void add_inputs(const std::vector<std::filesystem::path>& inputs);
   /// The folder itself, as it is.
   /// throws  IoError if it is a file
   static OutputFolder in_place(const std::filesystem::path& folder);

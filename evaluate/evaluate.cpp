@@ -7,7 +7,8 @@
 #include "satsurf/evaluate/fill.h"
 #include "satsurf/mesh/surface.h"
 #include "satsurf/reconstruct/reconstruct.h"
-#include "satsurf/reconstruct/surface_view.h"
+#include "satsurf/reconstruct/rendered_view.h"
+#include "satsurf/rpc/raster.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
 #include "satsurf/splat/view.h"
@@ -42,7 +43,7 @@ Tensor stacked(const std::vector<Tensor>& maps) {
 double middle_height(const scene::Scene& scene) {
   const Tensor& z = scene.truth->z;
   const float v = z[z.dim(0) / 2 * z.dim(1) + z.dim(1) / 2];
-  return std::isfinite(v) ? static_cast<double>(v) : (scene.z_low + scene.z_high) / 2;
+  return std::isfinite(v) ? static_cast<double>(v) : scene.z_range.middle();
 }
 
 Tensor difference(const Tensor& a, const Tensor& b) {
@@ -75,7 +76,7 @@ void score_dsm(const reconstruct::Reconstruction& made, const scene::HeightField
 Tensor scored_cells(const scene::Scene& scene, const std::vector<scene::View>& views,
                     bool mask_water) {
   std::vector<ImageCamera> cameras;
-  for (const scene::View& v : views) cameras.push_back({v.rpc, v.rgb.dim(2), v.rgb.dim(1)});
+  for (const scene::View& v : views) cameras.push_back({v.rpc, v.width(), v.height()});
   Tensor mask = seen_by_two(*scene.truth, scene.frame, cameras);
   if (mask_water && !scene.classes.empty()) {
     Dims("evaluate").match("truth", mask, "H W").match("classes", scene.classes, "H W");
@@ -97,7 +98,7 @@ void score_views(const nn::Model& model, const scene::Scene& scene, const Evalua
                  ConfidenceScores* confidence) {
   const Index multiple = nn::size_multiple(model.config());
   Index side = options.window;
-  for (const scene::View& v : scene.views) side = std::min({side, v.rgb.dim(1), v.rgb.dim(2)});
+  for (const scene::View& v : scene.views) side = std::min({side, v.height(), v.width()});
   side = std::max(multiple, side / multiple * multiple);
   const bool has_target = scene.views.size() > sources.size();
   if (has_target && options.lpips != nullptr && side < options.lpips->smallest_side())
@@ -108,10 +109,13 @@ void score_views(const nn::Model& model, const scene::Scene& scene, const Evalua
   const scene::HeightField& truth = *scene.truth;
   const double x = truth.x0 + truth.step * static_cast<double>(truth.z.dim(1)) / 2;
   const double y = truth.y0 - truth.step * static_cast<double>(truth.z.dim(0)) / 2;
-  const scene::Crop crop = scene::make_crop(
-      scene, sources,
-      has_target ? std::optional<Index>(static_cast<Index>(sources.size())) : std::nullopt, x, y,
-      middle_height(scene), side, scene.z_low, scene.z_high, true);
+  scene::CropOptions window{.sources = sources,
+                            .centre = {x, y, middle_height(scene)},
+                            .size = side,
+                            .z_range = scene.z_range,
+                            .with_truth = true};
+  if (has_target) window.target = static_cast<Index>(sources.size());
+  const scene::Crop crop = scene::make_crop(scene, window);
   const auto stages = model.forward(crop.input);
   const Tensor sure = nn::effective_confidence(model.config(), stages[2]);
   std::vector<Tensor> found, known;
@@ -161,11 +165,8 @@ Tensor seen_by_two(const scene::HeightField& truth, const rpc::LocalFrame& frame
           {truth.x0 + (static_cast<double>(j) + 0.5) * truth.step,
            truth.y0 - (static_cast<double>(i) + 0.5) * truth.step, static_cast<double>(z)});
       int seen = 0;
-      for (const ImageCamera& image : images) {
-        const rpc::Pixel q = image.rpc.project(p);
-        seen += q.x >= -0.5 && q.y >= -0.5 && q.x < static_cast<double>(image.width) - 0.5 &&
-                q.y < static_cast<double>(image.height) - 0.5;
-      }
+      for (const ImageCamera& image : images)
+        seen += rpc::inside_image(image.rpc.project(p), image.width, image.height);
       mask[i * W + j] = seen >= 2 ? 1.f : 0.f;
     }
   });
@@ -181,30 +182,32 @@ double covered_share(const Tensor& alpha, const Tensor& valid) {
 }
 
 std::optional<mesh::MeshComparison> compare_surfaces(const splat::Surfels& surfels,
-                                                     const scene::Scene& scene, const Tensor& mask,
+                                                     const scene::HeightField& truth,
+                                                     const std::vector<nn::PosedImage>& images,
+                                                     const Tensor& mask,
                                                      const std::array<double, 3>& shift,
                                                      double voxel) {
   // the truth's grid where the surfels see it before they are shifted
-  scene::HeightField grid = *scene.truth;
+  scene::HeightField grid = truth;
   grid.x0 -= shift[0], grid.y0 -= shift[1];
-  std::vector<mesh::HeightView> found, known;
-  for (const scene::View& view : scene.views) {
-    found.push_back(reconstruct::rendered_view(surfels, view, scene).heights);
+  std::vector<mesh::HeightImage> found, known;
+  for (const nn::PosedImage& image : images) {
+    found.push_back(reconstruct::rendered_view(surfels, image).heights);
     found.back().rgb = {};
     reconstruct::keep_inside(found.back(), grid, mask);
-    known.push_back(reconstruct::true_view(*scene.truth, view, scene));
-    reconstruct::keep_inside(known.back(), *scene.truth, mask);
+    known.push_back(reconstruct::true_view(truth, image));
+    reconstruct::keep_inside(known.back(), truth, mask);
   }
   mesh::FusionOptions how;
   how.voxel = voxel;
   auto surface = mesh::shape_from_views(found, how);
   if (!surface) return std::nullopt;
-  const auto truth = mesh::shape_from_views(known, how);
-  if (!truth) return std::nullopt;
+  const auto reference = mesh::shape_from_views(known, how);
+  if (!reference) return std::nullopt;
   for (auto& v : surface->vertices)
     for (std::size_t a = 0; a < 3; ++a)
       v[a] = static_cast<float>(static_cast<double>(v[a]) + shift[a]);
-  return mesh::compare_meshes(*surface, *truth);
+  return mesh::compare_meshes(*surface, *reference);
 }
 
 DsmPair load_dsm_pair(const std::filesystem::path& prediction, const std::filesystem::path& truth) {
@@ -254,8 +257,13 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
   const reconstruct::Reconstruction made = reconstruct::reconstruct(model, seen, how);
   out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   score_dsm(made, *scene.truth, mask, options.registration, out, confidence);
-  if (options.meshes)
-    out.mesh = compare_surfaces(made.surfels, scene, mask, out.dsm.shift, made.voxel);
+  if (options.meshes) {
+    std::vector<nn::PosedImage> images = made.images;
+    for (std::size_t i = images.size(); i < scene.views.size(); ++i)
+      images.push_back(scene::posed_image(scene.views[i], scene.frame, scene.z_range));
+    out.mesh =
+        compare_surfaces(made.surfels, *scene.truth, images, mask, out.dsm.shift, made.voxel);
+  }
   out.render_target = score_heights(Tensor({1, 1}, kNan), Tensor({1, 1}, kNan));  // none so far
   out.target.psnr = out.target.psnr_fitted = std::nan("");
   out.target.ssim = out.target.ssim_conv = out.target_covered = std::nan("");

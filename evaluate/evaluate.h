@@ -5,8 +5,8 @@
 #include "satsurf/evaluate/image_metrics.h"
 #include "satsurf/evaluate/metrics.h"
 #include "satsurf/mesh/compare.h"
+#include "satsurf/nn/input.h"
 #include "satsurf/nn/model.h"
-#include "satsurf/rpc/raster.h"
 #include "satsurf/scene/scene.h"
 
 #include <array>
@@ -43,14 +43,18 @@ Tensor seen_by_two(const scene::HeightField& truth, const rpc::LocalFrame& frame
 /// throws   ShapeError
 double covered_share(const Tensor& alpha, const Tensor& valid);
 
-/// A surface against the true one, as meshes: fused of the heights that either shows in all views
-/// of a scene, above the cells that count.
+/// A surface against the true one, as meshes: fused of the heights that either shows in images of
+/// the place, above the cells that count.
+/// truth    the true surface
+/// images   whole, with their cameras, in the frame of both surfaces
 /// mask     [H W] on the truth's grid, > 0 where a cell counts
 /// shift    added to the surfels' mesh: east, north, up, m; its cells are those it then lies above
 /// voxel    of both meshes, m
 /// returns  nothing where one of them has no surface
 std::optional<mesh::MeshComparison> compare_surfaces(const splat::Surfels& surfels,
-                                                     const scene::Scene& scene, const Tensor& mask,
+                                                     const scene::HeightField& truth,
+                                                     const std::vector<nn::PosedImage>& images,
+                                                     const Tensor& mask,
                                                      const std::array<double, 3>& shift,
                                                      double voxel);
 

@@ -44,7 +44,7 @@ void check_fusion(const FusionOptions& options) {
   }
 }
 
-SampledView::SampledView(const HeightView& view, const FusionOptions& options)
+SampledView::SampledView(const HeightImage& view, const FusionOptions& options)
     : projection_(view.pixel_from_local),
       localisation_(view.local_from_pixel),
       voxel_(options.voxel),

@@ -12,7 +12,7 @@ namespace satsurf::mesh {
 class SampledView {
  public:
   /// throws  ShapeError
-  SampledView(const HeightView& view, const FusionOptions& options);
+  SampledView(const HeightImage& view, const FusionOptions& options);
 
   Index height() const { return H_; }
   Index width() const { return W_; }

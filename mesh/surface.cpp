@@ -233,15 +233,15 @@ Mesh extract_surface(const Tsdf& field, double least_area) {
   return mesh;
 }
 
-Mesh mesh_from_views(std::span<const HeightView> views, const FusionOptions& options) {
+Mesh mesh_from_views(std::span<const HeightImage> views, const FusionOptions& options) {
   Mesh mesh = extract_surface(fuse(views, options), least_area_of(options));
   colour_vertices(mesh, views, options);
   return mesh;
 }
 
-std::optional<Mesh> shape_from_views(std::span<const HeightView> views,
+std::optional<Mesh> shape_from_views(std::span<const HeightImage> views,
                                      const FusionOptions& options) {
-  const bool any = std::any_of(views.begin(), views.end(), [](const HeightView& v) {
+  const bool any = std::any_of(views.begin(), views.end(), [](const HeightImage& v) {
     return std::any_of(v.height.values().begin(), v.height.values().end(),
                        [](float z) { return std::isfinite(z); });
   });

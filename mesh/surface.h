@@ -21,12 +21,12 @@ Mesh extract_surface(const Tsdf& field, double least_area);
 /// The surface that views of heights describe: `fuse`, `extract_surface` without pieces below
 /// 20 x 20 voxels, `colour_vertices`.
 /// throws  as these
-Mesh mesh_from_views(std::span<const HeightView> views, const FusionOptions& options);
+Mesh mesh_from_views(std::span<const HeightImage> views, const FusionOptions& options);
 
 /// Vertices and faces of the same, without normals and colours: what comparing shapes takes.
 /// returns  nothing where the views have no height, or too few together for a surface
 /// throws   as `fuse` for anything else
-std::optional<Mesh> shape_from_views(std::span<const HeightView> views,
+std::optional<Mesh> shape_from_views(std::span<const HeightImage> views,
                                      const FusionOptions& options);
 
 }  // namespace satsurf::mesh

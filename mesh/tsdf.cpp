@@ -164,7 +164,7 @@ void take_layers(Tsdf& field, const LayerRanges& ranges) {
 
 /// The values of one tile. Columns are vertical, so along one a pixel is a quadratic of the layer.
 void fuse_tile(Tsdf& field, Index index, const std::vector<SampledView>& sampled,
-               std::span<const HeightView> views) {
+               std::span<const HeightImage> views) {
   const Tsdf::Tile& tile = field.tiles[static_cast<std::size_t>(index)];
   const Index L = tile.layers;
   if (L == 0) return;
@@ -221,13 +221,13 @@ float Tsdf::at(Index i, Index j, Index k) const {
   return values[static_cast<Index>(tile.first) + (l * kTile + j % kTile) * kTile + i % kTile];
 }
 
-Tsdf fuse(std::span<const HeightView> views, const FusionOptions& options) {
+Tsdf fuse(std::span<const HeightImage> views, const FusionOptions& options) {
   check_fusion(options);
   Tsdf field;
   field.voxel = options.voxel, field.truncation = options.truncation;
   std::vector<SampledView> sampled;
   sampled.reserve(views.size());
-  for (const HeightView& v : views) sampled.emplace_back(v, options);
+  for (const HeightImage& v : views) sampled.emplace_back(v, options);
   place_tiles(field, sampled);
   {
     LayerRanges ranges(field.columns * field.rows);
@@ -241,15 +241,15 @@ Tsdf fuse(std::span<const HeightView> views, const FusionOptions& options) {
   return field;
 }
 
-void colour_vertices(Mesh& mesh, std::span<const HeightView> views, const FusionOptions& options) {
+void colour_vertices(Mesh& mesh, std::span<const HeightImage> views, const FusionOptions& options) {
   check_fusion(options);
   constexpr float kGrey = 0.5f;
   mesh.colours.clear();
-  if (std::all_of(views.begin(), views.end(), [](const HeightView& v) { return v.rgb.empty(); }))
+  if (std::all_of(views.begin(), views.end(), [](const HeightImage& v) { return v.rgb.empty(); }))
     return;
   std::vector<SampledView> sampled;
   sampled.reserve(views.size());
-  for (const HeightView& v : views) sampled.emplace_back(v, options);
+  for (const HeightImage& v : views) sampled.emplace_back(v, options);
   mesh.colours.resize(mesh.vertices.size());
   for_range(static_cast<Index>(mesh.vertices.size()), 4096, [&](Index begin, Index end) {
     for (auto n = static_cast<std::size_t>(begin); n < static_cast<std::size_t>(end); ++n) {
@@ -258,7 +258,7 @@ void colour_vertices(Mesh& mesh, std::span<const HeightView> views, const Fusion
                  z = static_cast<double>(p[2]);
       double sum[3] = {0, 0, 0}, weight = 0;
       for (std::size_t i = 0; i < views.size(); ++i) {
-        const HeightView& view = views[i];
+        const HeightImage& view = views[i];
         if (view.rgb.empty()) continue;
         const auto q = view.pixel_from_local(x, y, z);
         const auto answer = sampled[i].ask(q[0], q[1], z, sampled[i].slant(x, y, z));

@@ -11,7 +11,7 @@
 namespace satsurf::mesh {
 
 /// What one camera sees of a surface.
-struct HeightView {
+struct HeightImage {
   Tensor height;               ///< [H W] local z of what each pixel sees, m; NaN where nothing
   Tensor confidence;           ///< [H W] in [0, 1], or empty for 1 everywhere
   Tensor rgb;                  ///< [3 H W] in [0, 1], or empty
@@ -64,13 +64,13 @@ struct Tsdf {
 /// throws    ShapeError, ConfigError; Error if there are no heights or too many voxels for the
 ///           memory
 /// cost      O(voxels near the surface x views)
-Tsdf fuse(std::span<const HeightView> views, const FusionOptions& options);
+Tsdf fuse(std::span<const HeightImage> views, const FusionOptions& options);
 
 /// Colours a mesh from the pictures: per vertex their average with the weights of `fuse`. A vertex
 /// that no picture shows gets the colour of what hides it; one outside all pictures is grey.
 /// mesh      takes the colours; none where no view has a picture
 /// views     as given to `fuse`; those without `rgb` count for nothing
 /// throws    ShapeError
-void colour_vertices(Mesh& mesh, std::span<const HeightView> views, const FusionOptions& options);
+void colour_vertices(Mesh& mesh, std::span<const HeightImage> views, const FusionOptions& options);
 
 }  // namespace satsurf::mesh

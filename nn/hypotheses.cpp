@@ -10,8 +10,6 @@
 
 namespace satsurf::nn {
 
-double middle_height(const NetworkInput& scene) { return 0.5 * (scene.z_low + scene.z_high); }
-
 double mean_parallax(const NetworkInput& scene) {
   const std::size_t N = scene.sources.size();
   const double x = (static_cast<double>(scene.sources[0].rgb.dim(2)) - 1) / 2,
@@ -20,21 +18,20 @@ double mean_parallax(const NetworkInput& scene) {
   for (std::size_t i = 0; i < N; ++i)
     for (std::size_t j = 0; j < N; ++j) {
       if (i == j) continue;
-      const auto jac = scene.transfer[i][j].jacobian(x, y, middle_height(scene));
+      const auto jac = scene.transfer[i][j].jacobian(x, y, scene.z_range.middle());
       sum += std::hypot(jac[0][2], jac[1][2]);
     }
   return sum / static_cast<double>(N * (N - 1));
 }
 
 std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const NetworkInput& scene) {
-  if (!(scene.z_high > scene.z_low))
-    throw ConfigError("model: height range " + std::to_string(scene.z_low) + " to " +
-                      std::to_string(scene.z_high) + ", expected a positive span");
+  if (!scene.z_range.has_span())
+    throw ConfigError("model: height range " + std::to_string(scene.z_range.low) + " to " +
+                      std::to_string(scene.z_range.high) + ", expected a positive span");
   constexpr double kNoParallax = 1e-6;  // px per m; views from one direction carry no height
   const double last = std::clamp(config.interval_px / std::max(mean_parallax(scene), kNoParallax),
                                  config.interval_min, config.interval_max);
-  return {(scene.z_high - scene.z_low) / static_cast<double>(config.hypotheses[0] - 1), 2 * last,
-          last};
+  return {scene.z_range.span() / static_cast<double>(config.hypotheses[0] - 1), 2 * last, last};
 }
 
 std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInput& scene) {
@@ -60,12 +57,14 @@ template <class T>
 BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
                                 const StageHeights<T>* previous) {
   if (grid.hypotheses == 0) return {};
-  if (previous == nullptr) return uniform_hypotheses<T>(grid, scene.z_low, scene.z_high);
+  if (previous == nullptr)
+    return uniform_hypotheses<T>(grid, scene.z_range.low, scene.z_range.high);
   const NoGrad no_grad;
   const BasicVar<T> centre = resize_bilinear(previous->height.detach(), grid.height, grid.width);
   // a surface at the very edge of the range stays inside the band
   const double margin = 2 * grid.interval;
-  return narrowed_hypotheses(grid, centre.value(), scene.z_low - margin, scene.z_high + margin);
+  return narrowed_hypotheses(grid, centre.value(), scene.z_range.low - margin,
+                             scene.z_range.high + margin);
 }
 
 template <class T>

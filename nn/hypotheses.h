@@ -9,9 +9,6 @@
 
 namespace satsurf::nn {
 
-/// The middle of the scene's height range, local m.
-double middle_height(const NetworkInput& scene);
-
 /// Mean parallax over all ordered pairs of source views, at the window's centre.
 /// returns  image pixels per metre of height
 double mean_parallax(const NetworkInput& scene);

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/quadratic.h"
 #include "satsurf/core/tensor.h"
+#include "satsurf/rpc/height_range.h"
 
 #include <vector>
 
@@ -29,7 +30,7 @@ struct NetworkInput {
   std::vector<PosedImage> sources;  ///< two or more, H and W multiples of `size_multiple`
   /// [reference][source]: (x, y, z) -> px; the diagonal is unused.
   std::vector<std::vector<Quadratic>> transfer;
-  double z_low = 0, z_high = 0;  ///< height range in the local frame, m
+  rpc::HeightRange z_range;  ///< that is searched, local m
 };
 
 }  // namespace satsurf::nn

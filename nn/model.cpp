@@ -97,7 +97,7 @@ StageParts<T> make_stage(ParameterSet<T>& p, const ModelConfig& config, std::siz
 template <class T>
 splat::BasicSurfels<T> stage_surfels(const ModelConfig& config, const NetworkInput& scene,
                                      const StageGrid& grid, const SurfelMaps<T>& maps) {
-  const double z = middle_height(scene);
+  const double z = scene.z_range.middle();
   std::vector<PixelGeometry> geometry;
   for (const PosedImage& v : scene.sources) geometry.push_back(pixel_geometry(v, z, grid.stride));
   return surfels_from_maps(maps, geometry, config.rotation);

@@ -88,15 +88,17 @@ std::vector<Sample> samples_of(const Window& window, const HeightRange& range, b
   return out;
 }
 
+/// sample(pixel, h) at heights above the ellipsoid, which is how a camera takes them
 template <class F>
-Quadratic fit_over(const char* where, const Window& window, const HeightRange& range,
-                   const F& sample) {
+Quadratic fit_over(const char* where, const LocalFrame& frame, const Window& window,
+                   const HeightRange& z_range, const F& sample) {
   std::ostringstream text;
   if (!(window.width > 0 && window.height > 0)) {
     text << where << ": window of " << window.width << " x " << window.height
          << " px, expected a positive size";
     throw Error(text.str());
   }
+  const HeightRange range = frame.heights_from_z(z_range);
   if (!(range.low <= range.high)) {
     text << where << ": height range " << range.low << " to " << range.high
          << " m, expected low <= high";
@@ -135,29 +137,32 @@ std::array<double, 4> quaternion(const Vec3& c0, const Vec3& c1, const Vec3& c2)
 }  // namespace
 
 Quadratic fit_transfer(const Rpc& reference, const Rpc& source, const LocalFrame& frame,
-                       const Window& window, const HeightRange& range) {
-  return fit_over("fit_transfer", window, range, [&](const Pixel& pixel, double h) -> Sample {
-    const Pixel seen = source.project(reference.localize(pixel, h));
-    return {{pixel.x, pixel.y, h - frame.h0}, {seen.x, seen.y}};
-  });
+                       const Window& window, const HeightRange& z_range) {
+  return fit_over("fit_transfer", frame, window, z_range,
+                  [&](const Pixel& pixel, double h) -> Sample {
+                    const Pixel seen = source.project(reference.localize(pixel, h));
+                    return {{pixel.x, pixel.y, h - frame.h0}, {seen.x, seen.y}};
+                  });
 }
 
 Quadratic fit_localisation(const Rpc& rpc, const LocalFrame& frame, const Window& window,
-                           const HeightRange& range) {
-  return fit_over("fit_localisation", window, range, [&](const Pixel& pixel, double h) -> Sample {
-    const Vec3 p = frame.local_from_geodetic(rpc.localize(pixel, h));
-    return {{pixel.x, pixel.y, p[2]}, {p[0], p[1]}};
-  });
+                           const HeightRange& z_range) {
+  return fit_over("fit_localisation", frame, window, z_range,
+                  [&](const Pixel& pixel, double h) -> Sample {
+                    const Vec3 p = frame.local_from_geodetic(rpc.localize(pixel, h));
+                    return {{pixel.x, pixel.y, p[2]}, {p[0], p[1]}};
+                  });
 }
 
 Quadratic fit_projection(const Rpc& rpc, const LocalFrame& frame, const Window& window,
-                         const HeightRange& range) {
-  return fit_over("fit_projection", window, range, [&](const Pixel& pixel, double h) -> Sample {
-    return {frame.local_from_geodetic(rpc.localize(pixel, h)), {pixel.x, pixel.y}};
-  });
+                         const HeightRange& z_range) {
+  return fit_over("fit_projection", frame, window, z_range,
+                  [&](const Pixel& pixel, double h) -> Sample {
+                    return {frame.local_from_geodetic(rpc.localize(pixel, h)), {pixel.x, pixel.y}};
+                  });
 }
 
-ViewGeometry view_geometry(const std::array<std::array<double, 3>, 2>& jacobian) {
+ViewGeometry view_geometry(const PixelJacobian& jacobian) {
   const Vec3 &a1 = jacobian[0], &a2 = jacobian[1];
   // Gram-Schmidt: A = K2 [r1; r2] with a lower triangular K2, r3 = r1 x r2 looks away from the
   // satellite.

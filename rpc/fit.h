@@ -12,39 +12,34 @@ struct Window {
   double x0 = 0, y0 = 0, width = 0, height = 0;
 };
 
-/// Heights above the ellipsoid, m.
-struct HeightRange {
-  double low = 0, high = 0;
-};
-
-/// Pixel transfer (x, y, z) in `reference` -> pixel in `source`, with z = h - frame.h0. Least
-/// squares in double on an 11 x 11 x 7 Newton grid over the window and the height range.
+/// Pixel transfer (x, y, z) in `reference` -> pixel in `source`. Least squares in double on an
+/// 11 x 11 x 7 Newton grid over the window and the height range.
 /// reference, source  cameras of the two images
-/// frame              gives the origin of z
+/// frame              of z
 /// window             pixels of `reference`
-/// range              m above the ellipsoid
+/// z_range            local m
 /// returns            the map, with the residuals of the fit
 /// throws             Error
 Quadratic fit_transfer(const Rpc& reference, const Rpc& source, const LocalFrame& frame,
-                       const Window& window, const HeightRange& range);
+                       const Window& window, const HeightRange& z_range);
 /// Localisation (x, y, z) -> local (x, y) in m, fitted as in `fit_transfer`.
 /// rpc      camera of the image
 /// frame    of x, y and z
 /// window   pixels of the image
-/// range    m above the ellipsoid
+/// z_range  local m
 /// returns  the map, with the residuals of the fit
 /// throws   Error
 Quadratic fit_localisation(const Rpc& rpc, const LocalFrame& frame, const Window& window,
-                           const HeightRange& range);
+                           const HeightRange& z_range);
 /// Projection: local (x, y, z) in m -> pixel, fitted over the ground that a window sees.
 /// rpc      camera of the image
 /// frame    of x, y and z
 /// window   pixels of the image
-/// range    m above the ellipsoid
+/// z_range  local m
 /// returns  the map, with the residuals of the fit
 /// throws   Error
 Quadratic fit_projection(const Rpc& rpc, const LocalFrame& frame, const Window& window,
-                         const HeightRange& range);
+                         const HeightRange& z_range);
 
 /// The local orientation and size of a pixel.
 struct ViewGeometry {
@@ -56,6 +51,6 @@ struct ViewGeometry {
 /// From the camera's derivatives at one point.
 /// jacobian  d(pixel)/d(world), 2 x 3, px per m
 /// throws    Error for a mirrored image (the third axis would point up)
-ViewGeometry view_geometry(const std::array<std::array<double, 3>, 2>& jacobian);
+ViewGeometry view_geometry(const PixelJacobian& jacobian);
 
 }  // namespace satsurf::rpc

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <numbers>
 
 namespace satsurf::rpc {
@@ -111,6 +112,28 @@ std::array<double, 2> geodetic_from_utm(const UtmZone& zone, double easting, dou
           std::atan(geodetic_tan(tau)) / kRadian};
 }
 
+std::array<std::array<double, 2>, 2> geodetic_from_utm_jacobian(const UtmZone& zone, double easting,
+                                                                double northing) {
+  // Every step but the last is conformal: analytic in zeta = xi + i eta, and so is its derivative.
+  using Complex = std::complex<double>;
+  const Complex zeta((northing - (zone.north ? 0.0 : kFalseNorthing)) / (kK0 * kRectifying),
+                     (easting - kFalseEasting) / (kK0 * kRectifying));
+  Complex zeta0 = zeta, slope = 1;
+  for (std::size_t j = 0; j < kBeta.size(); ++j) {
+    const double k = 2.0 * static_cast<double>(j + 1);
+    zeta0 -= kBeta[j] * std::sin(k * zeta);
+    slope -= kBeta[j] * k * std::cos(k * zeta);
+  }
+  // psi + i lambda, isometric latitude and longitude, by zeta0: their inverse Gauss-Schreiber map
+  // is zeta0 = gd(psi + i lambda), with the derivative 1 / cosh = cos zeta0.
+  slope /= std::cos(zeta0) * kK0 * kRectifying * kRadian;
+  const double lat = geodetic_from_utm(zone, easting, northing)[1] * kRadian,
+               sin_lat = std::sin(lat);
+  // d(lat)/d(psi)
+  const double stretch = (1 - kE2 * sin_lat * sin_lat) * std::cos(lat) / (1 - kE2);
+  return {{{slope.real(), slope.imag()}, {-stretch * slope.imag(), stretch * slope.real()}}};
+}
+
 std::array<double, 3> ecef_from_geodetic(const Geodetic& p) {
   const double sin_lat = std::sin(p.lat * kRadian), cos_lat = std::cos(p.lat * kRadian);
   const double normal = kA / std::sqrt(1 - kE2 * sin_lat * sin_lat);
@@ -146,6 +169,28 @@ Geodetic LocalFrame::geodetic_from_local(const std::array<double, 3>& p_in_local
   const auto [lon, lat] =
       geodetic_from_utm(zone, p_in_local[0] + easting0, p_in_local[1] + northing0);
   return {lon, lat, p_in_local[2] + h0};
+}
+
+HeightRange LocalFrame::z_from_heights(const HeightRange& height_range) const {
+  return {height_range.low - h0, height_range.high - h0};
+}
+
+HeightRange LocalFrame::heights_from_z(const HeightRange& z_range) const {
+  return {z_range.low + h0, z_range.high + h0};
+}
+
+PixelJacobian pixel_jacobian(const Rpc& camera, const LocalFrame& frame,
+                             const std::array<double, 3>& p_in_local) {
+  const PixelJacobian by_geodetic = camera.jacobian(frame.geodetic_from_local(p_in_local));
+  const auto geodetic = geodetic_from_utm_jacobian(frame.zone, p_in_local[0] + frame.easting0,
+                                                   p_in_local[1] + frame.northing0);
+  PixelJacobian out{};
+  for (std::size_t k = 0; k < 2; ++k) {
+    const auto& [by_lon, by_lat, by_h] = by_geodetic[k];
+    out[k] = {by_lon * geodetic[0][0] + by_lat * geodetic[1][0],
+              by_lon * geodetic[0][1] + by_lat * geodetic[1][1], by_h};
+  }
+  return out;
 }
 
 }  // namespace satsurf::rpc

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/rpc/height_range.h"
 #include "satsurf/rpc/model.h"
 
 #include <array>
@@ -30,6 +31,9 @@ std::array<double, 2> utm_from_geodetic(const UtmZone& zone, double lon, double 
 /// easting, northing  m
 /// returns            lon, lat in degrees
 std::array<double, 2> geodetic_from_utm(const UtmZone& zone, double easting, double northing);
+/// Derivatives of `geodetic_from_utm`, [lon, lat][easting, northing], degrees per m.
+std::array<std::array<double, 2>, 2> geodetic_from_utm_jacobian(const UtmZone& zone, double easting,
+                                                                double northing);
 /// Earth-centred, earth-fixed coordinates of a position, m.
 std::array<double, 3> ecef_from_geodetic(const Geodetic& p);
 /// The inverse of `ecef_from_geodetic`: the position of earth-centred, earth-fixed coordinates, m.
@@ -45,7 +49,18 @@ struct LocalFrame {
   std::array<double, 3> local_from_geodetic(const Geodetic& p) const;
   /// The inverse of `local_from_geodetic`.
   Geodetic geodetic_from_local(const std::array<double, 3>& p_in_local) const;
+  /// A range of heights above the ellipsoid as local z.
+  HeightRange z_from_heights(const HeightRange& height_range) const;
+  /// A range of local z as heights above the ellipsoid.
+  HeightRange heights_from_z(const HeightRange& z_range) const;
   friend bool operator==(const LocalFrame&, const LocalFrame&) = default;
 };
+
+/// Derivatives of a pixel by a point of a local frame, [x, y][x, y, z], px per m.
+/// camera      of the image
+/// frame       of the point
+/// p_in_local  where, m
+PixelJacobian pixel_jacobian(const Rpc& camera, const LocalFrame& frame,
+                             const std::array<double, 3>& p_in_local);
 
 }  // namespace satsurf::rpc

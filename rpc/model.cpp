@@ -51,7 +51,7 @@ struct Normalised {
 
 struct Linearised {
   Pixel pixel;
-  std::array<std::array<double, 3>, 2> jacobian;
+  PixelJacobian jacobian;
 };
 
 Linearised linearise(const Rpc& r, const Geodetic& p) {
@@ -84,9 +84,7 @@ Pixel Rpc::project(const Geodetic& p) const {
           line_scale * dot(line_num, m) / dot(line_den, m) + line_off};
 }
 
-std::array<std::array<double, 3>, 2> Rpc::jacobian(const Geodetic& p) const {
-  return linearise(*this, p).jacobian;
-}
+PixelJacobian Rpc::jacobian(const Geodetic& p) const { return linearise(*this, p).jacobian; }
 
 Geodetic Rpc::localize(const Pixel& pixel, double h) const {
   constexpr int kSteps = 4;            // three reach 1e-9 px from 13000 px away; one in reserve

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/shape.h"
+
 #include <array>
 
 namespace satsurf::rpc {
@@ -15,6 +17,16 @@ struct Pixel {
   double x = 0, y = 0;
 };
 
+/// Derivatives of a pixel, [x, y][coordinate of a point].
+using PixelJacobian = std::array<std::array<double, 3>, 2>;
+
+/// Whether a position lies in an image: on the area of one of its width x height pixels, of which
+/// each has its left and upper edge but not the others.
+inline bool inside_image(const Pixel& p, Index width, Index height) {
+  return p.x >= -0.5 && p.y >= -0.5 && p.x < static_cast<double>(width) - 0.5 &&
+         p.y < static_cast<double>(height) - 0.5;
+}
+
 /// Rational polynomial camera, RPC00B:
 ///   samp = samp_scale (SN . m) / (SD . m) + samp_off,   likewise line
 /// with m the 20 cubic monomials of the normalised latitude P, longitude L and height H.
@@ -28,7 +40,7 @@ struct Rpc {
   /// Where a point falls in the image, px.
   Pixel project(const Geodetic& p) const;
   /// Derivatives of `project`, [row x, y][lon, lat, h]: px per degree, px per degree, px per m.
-  std::array<std::array<double, 3>, 2> jacobian(const Geodetic& p) const;
+  PixelJacobian jacobian(const Geodetic& p) const;
   /// The point at height h that projects to `pixel`: Newton, four fixed steps from the centre of
   /// the RPC.
   /// pixel   px

@@ -79,36 +79,16 @@ std::pair<float, float> stretch_of(const Image& image, const std::array<Index, 3
   return {low, high};
 }
 
-struct NamedView {
-  fs::path raster;
-  std::optional<SatNerfJson> json;
-};
-
-NamedView resolve(const fs::path& path, const std::vector<fs::path>& image_dirs) {
-  const std::string extension = path.extension().string();
-  if (extension != ".json" && extension != ".JSON") return {path, {}};
-  SatNerfJson json = read_satnerf_json(path);
-  std::vector<fs::path> folders{path.parent_path()};
-  folders.insert(folders.end(), image_dirs.begin(), image_dirs.end());
-  std::string tried;
-  for (const fs::path& folder : folders) {
-    const fs::path raster = folder / json.image;
-    if (fs::exists(raster)) return {raster, std::move(json)};
-    tried += (tried.empty() ? "" : ", ") + raster.string();
-  }
-  throw IoError(path.string() + ": its image \"" + json.image + "\" was not found, looked for " +
-                tried + "; name its folder");
-}
-
 /// Puts in what the JSON knows better, checks that it belongs to the image, and that there is a
 /// camera.
-void complete(RasterInfo& info, const fs::path& path, const NamedView& view) {
-  if (view.json) {
-    const SatNerfJson& j = *view.json;
+void complete(RasterInfo& info, const ViewSource& source) {
+  const fs::path& path = source.file;
+  if (source.json) {
+    const SatNerfJson& j = *source.json;
     if (j.width != info.width || j.height != info.height) {
       std::ostringstream text;
       text << path.string() << ": says " << j.width << " x " << j.height << " px, but "
-           << view.raster.string() << " has " << info.width << " x " << info.height;
+           << source.raster.string() << " has " << info.width << " x " << info.height;
       throw IoError(text.str());
     }
     info.rpc = j.rpc;
@@ -126,14 +106,13 @@ void complete(RasterInfo& info, const fs::path& path, const NamedView& view) {
   throw IoError(path.string() + ": no camera (RPC), looked for " + tried);
 }
 
-}  // namespace
-
-Image read_image(const fs::path& path, const std::optional<PixelWindow>& window) {
-  const GdalScope scope;
-  const DatasetPtr d = open_raster(path);
+/// The pixels of an open file, and which of them are valid.
+/// info    of the whole file
+/// window  the part to read; all of it if left out
+/// throws  IoError
+Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info,
+                  const std::optional<PixelWindow>& window) {
   Image image;
-  image.info = info_of(path, *d);
-  RasterInfo& info = image.info;
   const PixelWindow w = window.value_or(PixelWindow{0, 0, info.width, info.height});
   if (w.x0 < 0 || w.y0 < 0 || w.width < 1 || w.height < 1 || w.x0 + w.width > info.width ||
       w.y0 + w.height > info.height) {
@@ -143,19 +122,18 @@ Image read_image(const fs::path& path, const std::optional<PixelWindow>& window)
     throw IoError(text.str());
   }
 
-  std::vector<int> bands = colour_bands(*d);
+  std::vector<int> bands = colour_bands(d);
   const Index C = info.bands, H = w.height, W = w.width, N = H * W;
   check_memory(path, C, w);
   image.pixels = Tensor::uninitialised({C, H, W});
   CPLErrorReset();
-  if (d->RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0), static_cast<int>(W),
-                  static_cast<int>(H), image.pixels.data(), static_cast<int>(W),
-                  static_cast<int>(H), GDT_Float32, static_cast<int>(C), bands.data(), 0, 0, 0,
-                  nullptr) != CE_None)
+  if (d.RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0), static_cast<int>(W),
+                 static_cast<int>(H), image.pixels.data(), static_cast<int>(W), static_cast<int>(H),
+                 GDT_Float32, static_cast<int>(C), bands.data(), 0, 0, 0, nullptr) != CE_None)
     throw IoError(path.string() + ": the pixels cannot be read, expected a whole file; " +
                   gdal_error());
 
-  const auto mask = file_mask(path, *d, bands, w);
+  const auto mask = file_mask(path, d, bands, w);
   image.valid = Tensor::uninitialised({H, W});
   const Index count = ordered_reduce<Index>(N, Index{1} << 16, 0, [&](Index begin, Index end) {
     Index valid = 0;
@@ -179,23 +157,50 @@ Image read_image(const fs::path& path, const std::optional<PixelWindow>& window)
   }
   info.width = W;
   info.height = H;
-  return image;
-}
-
-Image open_view(const fs::path& path, const std::vector<fs::path>& image_dirs) {
-  const NamedView view = resolve(path, image_dirs);
-  // The camera is asked for first: it costs nothing, and large files without one are common.
-  RasterInfo info = read_info(view.raster);
-  complete(info, path, view);
-  Image image = read_image(view.raster);
   image.info = std::move(info);
   return image;
 }
 
+}  // namespace
+
+Image read_image(const fs::path& path, const std::optional<PixelWindow>& window) {
+  const GdalScope scope;
+  const DatasetPtr d = open_raster(path);
+  return read_pixels(path, *d, info_of(path, *d), window);
+}
+
+ViewSource find_view(const fs::path& path, const std::vector<fs::path>& image_dirs) {
+  const std::string extension = path.extension().string();
+  if (extension != ".json" && extension != ".JSON") return {path, path, {}};
+  SatNerfJson json = read_satnerf_json(path);
+  std::vector<fs::path> folders{path.parent_path()};
+  folders.insert(folders.end(), image_dirs.begin(), image_dirs.end());
+  std::string tried;
+  for (const fs::path& folder : folders) {
+    const fs::path raster = folder / json.image;
+    if (fs::exists(raster)) return {path, raster, std::move(json)};
+    tried += (tried.empty() ? "" : ", ") + raster.string();
+  }
+  throw IoError(path.string() + ": its image \"" + json.image + "\" was not found, looked for " +
+                tried + "; name its folder");
+}
+
+Image open_view(const ViewSource& source) {
+  const GdalScope scope;
+  const DatasetPtr d = open_raster(source.raster);
+  RasterInfo info = info_of(source.raster, *d);
+  complete(info, source);
+  return read_pixels(source.raster, *d, std::move(info), {});
+}
+
+Image open_view(const fs::path& path, const std::vector<fs::path>& image_dirs) {
+  return open_view(find_view(path, image_dirs));
+}
+
 RasterInfo view_info(const fs::path& path, const std::vector<fs::path>& image_dirs) {
-  const NamedView view = resolve(path, image_dirs);
-  RasterInfo info = read_info(view.raster);
-  complete(info, path, view);
+  const ViewSource source = find_view(path, image_dirs);
+  RasterInfo info = read_info(source.raster);
+  complete(info, source);
   return info;
 }
 

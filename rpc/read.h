@@ -62,18 +62,6 @@ RasterInfo read_info(const std::filesystem::path& path);
 ///         window that leaves the image
 Image read_image(const std::filesystem::path& path, const std::optional<PixelWindow>& window = {});
 
-/// An image together with its camera: a raster, or a Sat-NeRF JSON whose camera then replaces the
-/// raster's.
-/// path        of the raster or the JSON
-/// image_dirs  folders to look in for the JSON's image, after the JSON's own
-/// throws      IoError without a camera, naming the file and where one was looked for
-Image open_view(const std::filesystem::path& path,
-                const std::vector<std::filesystem::path>& image_dirs = {});
-
-/// As `open_view`, without the pixels.
-RasterInfo view_info(const std::filesystem::path& path,
-                     const std::vector<std::filesystem::path>& image_dirs = {});
-
 /// Colours for the network.
 ///   channels  one or two: the first, three times; three or more: `info.rgb_channels` (Pleiades and
 ///             SPOT deliver R G B N)
@@ -109,5 +97,29 @@ struct SatNerfJson {
 /// Reads one; numbers may be strings ("+42.2").
 /// throws  IoError naming the file and the key
 SatNerfJson read_satnerf_json(const std::filesystem::path& path);
+
+/// An image with its camera, found but not opened: a raster, or a Sat-NeRF JSON whose camera then
+/// replaces that of the raster it names.
+struct ViewSource {
+  std::filesystem::path file;       ///< what was asked for: the raster or the JSON
+  std::filesystem::path raster;     ///< where the pixels are
+  std::optional<SatNerfJson> json;  ///< what the JSON says, if there is one
+};
+/// path        of the raster or the JSON, which is read
+/// image_dirs  folders to look in for the JSON's image, after the JSON's own
+/// throws      IoError naming the places looked in for the image
+ViewSource find_view(const std::filesystem::path& path,
+                     const std::vector<std::filesystem::path>& image_dirs = {});
+
+/// The pixels and the camera. The raster is opened once, and its camera is asked for before its
+/// pixels.
+/// throws  IoError without a camera, naming the file and where one was looked for
+Image open_view(const ViewSource& source);
+/// As `open_view(find_view(path, image_dirs))`.
+Image open_view(const std::filesystem::path& path,
+                const std::vector<std::filesystem::path>& image_dirs = {});
+/// The same without the pixels.
+RasterInfo view_info(const std::filesystem::path& path,
+                     const std::vector<std::filesystem::path>& image_dirs = {});
 
 }  // namespace satsurf::rpc

@@ -28,42 +28,41 @@ Tensor cut(const Tensor& image, Index x0, Index y0, Index size) {
 
 }  // namespace
 
-Crop make_crop(const Scene& scene, const std::vector<Index>& sources, std::optional<Index> target,
-               double x, double y, double z, Index size, double z_low, double z_high,
-               bool with_truth) {
-  const rpc::Geodetic centre = scene.frame.geodetic_from_local({x, y, z});
-  const rpc::HeightRange range{z_low + scene.frame.h0, z_high + scene.frame.h0};
+Crop make_crop(const Scene& scene, const CropOptions& options) {
+  const rpc::Geodetic centre = scene.frame.geodetic_from_local(options.centre);
+  const Index size = options.size;
   const rpc::Window window{0, 0, static_cast<double>(size), static_cast<double>(size)};
 
-  std::vector<Index> chosen = sources;
-  if (target) chosen.push_back(*target);
-  const std::size_t N = sources.size(), all = chosen.size();
+  std::vector<Index> chosen = options.sources;
+  if (options.target) chosen.push_back(*options.target);
+  const std::size_t N = options.sources.size(), all = chosen.size();
   std::vector<rpc::Rpc> cameras(all);
   std::vector<nn::PosedImage> views(all);
+  std::vector<std::array<Index, 2>> origins(all);
   for_each_index(static_cast<Index>(all), [&](Index k) {
     const auto i = static_cast<std::size_t>(k);
     const View& from = scene.views[static_cast<std::size_t>(chosen[i])];
     const rpc::Pixel pixel = from.rpc.project(centre);
     const double half = (static_cast<double>(size) - 1) / 2;
     const double x0 = std::round(pixel.x - half), y0 = std::round(pixel.y - half);
+    origins[i] = {static_cast<Index>(x0), static_cast<Index>(y0)};
     cameras[i] = from.rpc.cropped(x0, y0);
-    views[i] = {cut(from.rgb, static_cast<Index>(x0), static_cast<Index>(y0), size),
-                cut(from.valid, static_cast<Index>(x0), static_cast<Index>(y0), size),
-                rpc::fit_localisation(cameras[i], scene.frame, window, range),
-                rpc::fit_projection(cameras[i], scene.frame, window, range)};
+    views[i] = {cut(from.rgb, origins[i][0], origins[i][1], size),
+                cut(from.valid, origins[i][0], origins[i][1], size),
+                rpc::fit_localisation(cameras[i], scene.frame, window, options.z_range),
+                rpc::fit_projection(cameras[i], scene.frame, window, options.z_range)};
   });
 
   Crop crop;
-  crop.input.z_low = z_low;
-  crop.input.z_high = z_high;
+  crop.input.z_range = options.z_range;
   crop.input.transfer.assign(N, std::vector<Quadratic>(N));
   for_each_index(static_cast<Index>(N * N), [&](Index k) {
     const auto i = static_cast<std::size_t>(k) / N, j = static_cast<std::size_t>(k) % N;
     if (i != j)
       crop.input.transfer[i][j] =
-          rpc::fit_transfer(cameras[i], cameras[j], scene.frame, window, range);
+          rpc::fit_transfer(cameras[i], cameras[j], scene.frame, window, options.z_range);
   });
-  if (with_truth && scene.truth) {
+  if (options.with_truth && scene.truth) {
     for (const Index stride : {Index{4}, Index{2}, Index{1}}) {
       auto& stage = crop.source_truth.emplace_back();
       for (std::size_t i = 0; i < N; ++i)
@@ -71,13 +70,31 @@ Crop make_crop(const Scene& scene, const std::vector<Index>& sources, std::optio
             *scene.truth, rescale_pixels(views[i].local_from_pixel, static_cast<double>(stride), 1),
             size / stride, size / stride));
     }
-    if (target)
+    if (options.target)
       crop.target_truth = heights_in_view(*scene.truth, views[N].local_from_pixel, size, size);
   }
-  if (target) crop.target = std::move(views[N]);
+  if (options.target) crop.target = std::move(views[N]);
   views.resize(N);
+  origins.resize(N);
   crop.input.sources = std::move(views);
+  crop.origins = std::move(origins);
   return crop;
+}
+
+nn::PosedImage posed_image(const View& view, const rpc::LocalFrame& frame,
+                           const rpc::HeightRange& z_range) {
+  const rpc::Window whole{0, 0, static_cast<double>(view.width()),
+                          static_cast<double>(view.height())};
+  return {view.rgb, view.valid, rpc::fit_localisation(view.rpc, frame, whole, z_range),
+          rpc::fit_projection(view.rpc, frame, whole, z_range)};
+}
+
+nn::PosedImage posed_image(const View& view, const nn::PosedImage& window,
+                           const std::array<Index, 2>& origin) {
+  const std::array<double, 2> image_corner{-static_cast<double>(origin[0]),
+                                           -static_cast<double>(origin[1])};
+  return {view.rgb, view.valid, shift_pixels(window.local_from_pixel, image_corner, {0, 0}),
+          shift_pixels(window.pixel_from_local, {0, 0}, image_corner)};
 }
 
 }  // namespace satsurf::scene

@@ -4,6 +4,7 @@
 #include "satsurf/nn/input.h"
 #include "satsurf/scene/scene.h"
 
+#include <array>
 #include <optional>
 #include <vector>
 
@@ -17,17 +18,33 @@ struct Crop {
   /// Empty without truth.
   std::vector<std::vector<Tensor>> source_truth;
   Tensor target_truth;  ///< [H W], or empty
+  /// Column and row of each source's image at which its window begins; may lie outside.
+  std::vector<std::array<Index, 2>> origins;
 };
 
-/// Cuts windows of the views around one ground point. Pixels outside an image are invalid.
-/// sources        views the network is given, by index
-/// target         the view to be rendered, if there is one
-/// x, y, z        ground point in the middle of every window, local m
-/// size           side of the windows, px, a multiple of the network's
-/// z_low, z_high  height range of the crop, local m
-/// with_truth     fill the true heights in, where the scene has them
-Crop make_crop(const Scene& scene, const std::vector<Index>& sources, std::optional<Index> target,
-               double x, double y, double z, Index size, double z_low, double z_high,
-               bool with_truth);
+/// Which windows are cut.
+struct CropOptions {
+  std::vector<Index> sources;      ///< views the network is given, by index
+  std::optional<Index> target{};   ///< the view to be rendered, if there is one
+  std::array<double, 3> centre{};  ///< ground point in the middle of every window, local m
+  Index size = 0;                  ///< side of the windows, px, a multiple of the network's
+  rpc::HeightRange z_range{};      ///< that the network searches, local m
+  bool with_truth = false;         ///< fill the true heights in, where the scene has them
+};
+
+/// Cuts windows of the views around one ground point. Pixels outside an image are invalid. Every
+/// camera is fitted over its window and the height range, once.
+Crop make_crop(const Scene& scene, const CropOptions& options);
+
+/// A view as one window, with its camera fitted over the whole image.
+/// frame    of the result
+/// z_range  heights over which it is fitted, local m
+nn::PosedImage posed_image(const View& view, const rpc::LocalFrame& frame,
+                           const rpc::HeightRange& z_range);
+/// The same with a camera that has been fitted already, over a window of the image.
+/// window  of the view
+/// origin  column and row of the image at which the window begins
+nn::PosedImage posed_image(const View& view, const nn::PosedImage& window,
+                           const std::array<Index, 2>& origin);
 
 }  // namespace satsurf::scene

@@ -131,9 +131,9 @@ std::vector<float> heights_of_patches(const Tensor& where, std::vector<char> bel
 }
 
 /// Lowest and highest height that is found more often than chance finds it. Chance matches are
-/// few and anywhere between z_low and z_high; what lies outside the middle nine tenths shows how
+/// few and anywhere in the searched range; what lies outside the middle nine tenths shows how
 /// few.
-std::pair<double, double> believable_span(std::vector<float> heights, double z_low, double z_high) {
+rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched) {
   constexpr double kBin = 10;           // m
   constexpr double kLargestStep = 100;  // m with nothing in between; beyond it is another pattern
   std::sort(heights.begin(), heights.end());
@@ -153,8 +153,8 @@ std::pair<double, double> believable_span(std::vector<float> heights, double z_l
     if (outside(z)) ++count[bin_of(z)];
   // The median over all bins outside, most of which only chance fills.
   std::vector<Index> sizes;
-  for (Index bin = bin_of(static_cast<float>(z_low)); bin <= bin_of(static_cast<float>(z_high));
-       ++bin)
+  for (Index bin = bin_of(static_cast<float>(searched.low));
+       bin <= bin_of(static_cast<float>(searched.high)); ++bin)
     if (const double middle = (static_cast<double>(bin) + 0.5) * kBin;
         middle < core_low || middle > core_high)
       sizes.push_back(count[bin]);
@@ -175,12 +175,10 @@ std::pair<double, double> believable_span(std::vector<float> heights, double z_l
   return {low, high};
 }
 
-std::string name_of(const View& view) { return view.file.empty() ? view.name : view.file.string(); }
-
 std::string names_of(const Scene& scene) {
   std::string text;
   for (std::size_t i = 0; i < scene.views.size(); ++i)
-    text += (i == 0 ? "" : i + 1 < scene.views.size() ? ", " : " and ") + name_of(scene.views[i]);
+    text += (i == 0 ? "" : i + 1 < scene.views.size() ? ", " : " and ") + scene.views[i].label();
   return text;
 }
 
@@ -200,39 +198,38 @@ Index textured_windows(const Coarse& c) {
 
 }  // namespace
 
-std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high,
-                                            const std::function<void()>& poll) {
-  if (!(z_high > z_low))
-    throw ConfigError("height range: " + std::to_string(z_low) + " to " + std::to_string(z_high) +
-                      " m, expected a positive span to search");
+rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& searched,
+                                   const std::function<void()>& poll) {
+  if (!searched.has_span())
+    throw ConfigError("height range: " + std::to_string(searched.low) + " to " +
+                      std::to_string(searched.high) + " m, expected a positive span to search");
   Index largest = 0;
-  for (const View& v : scene.views) largest = std::max({largest, v.rgb.dim(1), v.rgb.dim(2)});
+  for (const View& v : scene.views) largest = std::max({largest, v.height(), v.width()});
   const Index factor = std::max<Index>(1, (largest + kCoarse - 1) / kCoarse);
   std::vector<Coarse> coarse;
   for (const View& v : scene.views) {
     coarse.push_back(coarse_of(v, factor));
     if (const Index n = textured_windows(coarse.back()); n < kFewest)
-      throw Error(name_of(v) + ": " + std::to_string(n) + " windows with texture, expected " +
+      throw Error(v.label() + ": " + std::to_string(n) + " windows with texture, expected " +
                   std::to_string(kFewest) + " or more to compare with the other images");
   }
 
   const View& reference = scene.views[0];
   const rpc::Window window{0, 0, static_cast<double>(reference.rgb.dim(2)),
                            static_cast<double>(reference.rgb.dim(1))};
-  const rpc::HeightRange range{z_low + scene.frame.h0, z_high + scene.frame.h0};
   const double f = static_cast<double>(factor);
   std::vector<Quadratic> maps;
   double parallax = 0;  // coarse px per m, the largest of all views
   for (std::size_t j = 1; j < scene.views.size(); ++j) {
     maps.push_back(rescale_pixels(
-        rpc::fit_transfer(reference.rpc, scene.views[j].rpc, scene.frame, window, range), f, f));
+        rpc::fit_transfer(reference.rpc, scene.views[j].rpc, scene.frame, window, searched), f, f));
     const auto jac =
-        maps.back().jacobian(window.width / 2 / f, window.height / 2 / f, 0.5 * (z_low + z_high));
+        maps.back().jacobian(window.width / 2 / f, window.height / 2 / f, searched.middle());
     parallax = std::max(parallax, std::hypot(jac[0][2], jac[1][2]));
   }
   // disparity between tried heights; correlation survives half of it
   constexpr double kStepPx = 0.75;
-  const double span = z_high - z_low;
+  const double span = searched.span();
   const Index steps = std::clamp<Index>(static_cast<Index>(span * parallax / kStepPx) + 1, 8, 2000);
 
   const Index P = coarse[0].grey.count();
@@ -247,7 +244,8 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
     const Index batch = std::min(kBatch, steps - first);
     std::vector<Tensor> score(static_cast<std::size_t>(batch));
     const auto height = [&](Index k) {
-      return z_low + span * (static_cast<double>(first + k) + 0.5) / static_cast<double>(steps);
+      return searched.low +
+             span * (static_cast<double>(first + k) + 0.5) / static_cast<double>(steps);
     };
     for_each_index(batch, [&](Index k) {
       Tensor sum({P}), count({P});
@@ -286,11 +284,11 @@ std::pair<double, double> find_height_range(const Scene& scene, double z_low, do
         text, sizeof text,
         "%zu windows agree at any height from %.0f to %.0f m, expected %td or more; do the "
         "cameras belong to the images?",
-        heights.size(), z_low + scene.frame.h0, z_high + scene.frame.h0, kFewest);
+        heights.size(), scene.frame.heights_from_z(searched).low,
+        scene.frame.heights_from_z(searched).high, kFewest);
     throw Error(names_of(scene) + ": " + text);
   }
-  const auto [low, high] = believable_span(std::move(heights), z_low, z_high);
-  return {low - kMargin, high + kMargin};
+  return believable_span(std::move(heights), searched).widened(kMargin);
 }
 
 }  // namespace satsurf::scene

@@ -4,16 +4,15 @@
 #include "satsurf/scene/scene.h"
 
 #include <functional>
-#include <utility>
 
 namespace satsurf::scene {
 
 /// Height range of a scene that names none: a coarse sweep by normalised correlation of the views.
-/// z_low, z_high  range to search, as a rule the cameras' own, local m
-/// poll           called often, may throw to stop
-/// returns        lowest and highest height, local m
-/// throws         Error naming the images that have no texture or do not agree anywhere
-std::pair<double, double> find_height_range(const Scene& scene, double z_low, double z_high,
-                                            const std::function<void()>& poll = {});
+/// searched  range to search, as a rule the cameras' own, local m
+/// poll      called often, may throw to stop
+/// returns   lowest and highest height, local m
+/// throws    Error naming the images that have no texture or do not agree anywhere
+rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& searched,
+                                   const std::function<void()>& poll = {});
 
 }  // namespace satsurf::scene

@@ -13,6 +13,7 @@ View view_of(const rpc::Image& image, const std::filesystem::path& file) {
   view.sun_azimuth_deg = image.info.sun_azimuth_deg.value_or(0);
   view.date = image.info.acquisition_date.value_or("");
   view.file = file;
+  view.files = image.info.files;
   return view;
 }
 

@@ -20,21 +20,31 @@ struct View {
   rpc::Rpc rpc;
   double sun_elevation_deg = 0, sun_azimuth_deg = 0;
   std::string date;
-  std::filesystem::path file{};  ///< what it was read from
+  std::filesystem::path file{};  ///< what it was read from, empty for an image in memory
+  std::vector<std::filesystem::path> files{};  ///< all that was read for it
+
+  Index height() const { return rgb.dim(1); }
+  Index width() const { return rgb.dim(2); }
+  /// What messages call it: its file, or its name where it has none.
+  std::string label() const { return file.empty() ? name : file.string(); }
+  /// Whether a point falls into the image. Hidden ground counts.
+  bool contains(const rpc::Geodetic& p) const {
+    return rpc::inside_image(rpc.project(p), width(), height());
+  }
 };
 
 /// A view with all that its image says; named after its image file.
 /// file    what it was read from, an image or a JSON file that names one
 View view_of(const rpc::Image& image, const std::filesystem::path& file);
 
-/// Images of one place, and what is known of its surface.
+/// Images of one place, and what is known of its surface. All heights are local z.
 struct Scene {
   std::string name;
   rpc::LocalFrame frame;
   std::vector<View> views;
   std::optional<HeightField> truth;          ///< in the local frame
   Tensor classes;                            ///< [H W] on the truth's grid, or empty; 9 = water
-  double z_low = 0, z_high = 0;              ///< height range in the local frame, m
+  rpc::HeightRange z_range;                  ///< of the surface, local m
   std::filesystem::path images, truth_file;  ///< the data set, and where its truth is or should be
 };
 

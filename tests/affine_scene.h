@@ -44,8 +44,7 @@ inline nn::NetworkInput affine_scene(Index size, const std::vector<std::array<do
            0.15 * std::sin(1.1 * x - 2.3 * y + 2 * c) + 0.1 * std::sin(3.1 * x + 2.9 * y);
   };
   nn::NetworkInput scene;
-  scene.z_low = z_low;
-  scene.z_high = z_high;
+  scene.z_range = {z_low, z_high};
   std::vector<AffineCamera> cameras;
   for (const auto& s : slopes)
     cameras.push_back({0.5, s[0], s[1], (static_cast<double>(size) - 1) / 2});

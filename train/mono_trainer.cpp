@@ -54,11 +54,14 @@ MonoSample window(const MonoTrainConfig& config, const std::vector<scene::Scene>
           return rng.uniform(half - 0.5, std::max(half, static_cast<double>(extent) - half) - 0.5);
         };
     const double px = inner(from.rgb.dim(2)), py = inner(from.rgb.dim(1));
-    const double z = 0.5 * (scene.z_low + scene.z_high);  // any: it is this view's own pixel
+    const double z = scene.z_range.middle();  // any: it is this view's own pixel
     const auto at =
         scene.frame.local_from_geodetic(from.rpc.localize({px, py}, z + scene.frame.h0));
-    scene::Crop crop = scene::make_crop(scene, {number}, {}, at[0], at[1], z, config.crop,
-                                        scene.z_low, scene.z_high, true);
+    scene::Crop crop = scene::make_crop(scene, {.sources = {number},
+                                                .centre = {at[0], at[1], z},
+                                                .size = config.crop,
+                                                .z_range = scene.z_range,
+                                                .with_truth = true});
     view = std::move(crop.input.sources[0]);
     truth = std::move(crop.source_truth[2][0]);
     valid = Tensor(truth.shape());

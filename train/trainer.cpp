@@ -76,7 +76,7 @@ scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::
       return rng.uniform(half - 0.5, std::max(half, static_cast<double>(extent) - half) - 0.5);
     };
     const double px = inner(first.rgb.dim(2)), py = inner(first.rgb.dim(1));
-    double x = 0, y = 0, z = 0.5 * (scene.z_low + scene.z_high);
+    double x = 0, y = 0, z = scene.z_range.middle();
     for (int pass = 0; pass < 2;
          ++pass) {  // at the middle of the range first, then near the surface found there
       const auto p =
@@ -90,10 +90,15 @@ scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::
       if (const float t = truth.z[row * truth.z.dim(1) + col]; std::isfinite(t))
         z = static_cast<double>(t);
     }
-    const double span = scene.z_high - scene.z_low;
-    const double low = scene.z_low - rng.uniform(0, config.range_jitter) * span,
-                 high = scene.z_high + rng.uniform(0, config.range_jitter) * span;
-    crop = scene::make_crop(scene, sources, order[N], x, y, z, config.crop, low, high, true);
+    const double span = scene.z_range.span();
+    const double low = scene.z_range.low - rng.uniform(0, config.range_jitter) * span,
+                 high = scene.z_range.high + rng.uniform(0, config.range_jitter) * span;
+    crop = scene::make_crop(scene, {.sources = sources,
+                                    .target = order[N],
+                                    .centre = {x, y, z},
+                                    .size = config.crop,
+                                    .z_range = {low, high},
+                                    .with_truth = true});
     Index known = 0, all = 0;
     for (std::size_t i = 0; i < N; ++i)
       for (Index p = 0; p < config.crop * config.crop; ++p, ++all) {

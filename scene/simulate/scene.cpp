@@ -236,8 +236,8 @@ SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, 
           light_city(city, draw_daylight({view.sun_elevation_deg, view.sun_azimuth_deg - turn}, r));
     }
     const rpc::Window window{0, 0, side, side};
-    const Quadratic localisation =
-        rpc::fit_localisation(view.rpc, scene.frame, window, {scene.h_min - 1, scene.h_max + 1});
+    const Quadratic localisation = rpc::fit_localisation(view.rpc, scene.frame, window,
+                                                         {columns.low() - 1, columns.high() + 1});
     Rng r = root.fork(300 + static_cast<std::uint64_t>(v));
     const auto waves = static_cast<std::uint32_t>(r.next_u64());
     view.rgb =

@@ -6,8 +6,9 @@
 #include "satsurf/evaluate/table.h"
 #include "satsurf/mesh/compare.h"
 #include "satsurf/reconstruct/reconstruct.h"
-#include "satsurf/reconstruct/surface_view.h"
+#include "satsurf/reconstruct/rendered_view.h"
 #include "satsurf/rpc/raster.h"
+#include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
 #include "satsurf/scene/simulate/scene.h"
 
@@ -257,7 +258,8 @@ TEST_CASE("what cameras see of the true surface, and of a part of it") {
   const Folder folder;
   const Scene scene = small_scene(folder.path);
   const View& view = scene.views[1];
-  mesh::HeightView seen = reconstruct::true_view(*scene.truth, view, scene);
+  mesh::HeightImage seen =
+      reconstruct::true_view(*scene.truth, posed_image(view, scene.frame, scene.z_range));
   const HeightField& field = *scene.truth;
   Index known = 0, below = 0;
   for (Index y = 0; y < 64; ++y)
@@ -297,8 +299,11 @@ TEST_CASE("a surface that lies wrong is compared where its shift puts it") {
   const Scene scene = small_scene(folder.path);
   const HeightField& truth = *scene.truth;
   const Tensor mask = around(truth, 0, 0, 8);
+  std::vector<nn::PosedImage> images;
+  for (const View& view : scene.views)
+    images.push_back(posed_image(view, scene.frame, scene.z_range));
   const auto compared = [&](const std::array<double, 3>& by, const std::array<double, 3>& shift) {
-    const auto c = compare_surfaces(discs(truth, by), scene, mask, shift, 1);
+    const auto c = compare_surfaces(discs(truth, by), truth, images, mask, shift, 1);
     REQUIRE(c);
     return c->without_walls;
   };
@@ -318,7 +323,8 @@ TEST_CASE("a surface that lies wrong is compared where its shift puts it") {
   CHECK(moved.f[1].precision > right.f[1].precision - 0.1);
   CHECK(moved.f[1].recall > right.f[1].recall - 0.1);
 
-  CHECK_FALSE(compare_surfaces(discs(truth, {0, 0, 0}), scene, Tensor(mask.shape()), {0, 0, 0}, 1));
+  CHECK_FALSE(
+      compare_surfaces(discs(truth, {0, 0, 0}), truth, images, Tensor(mask.shape()), {0, 0, 0}, 1));
 }
 
 TEST_CASE("a scene's scores") {
@@ -379,8 +385,11 @@ TEST_CASE("a scene's scores") {
     Tensor mask = seen_by_two(*scene.truth, scene.frame, cameras);
     const Tensor dry = not_water(scene.classes);
     for (Index i = 0; i < mask.count(); ++i) mask[i] *= dry[i];
+    std::vector<nn::PosedImage> images = made.images;
+    for (std::size_t i = 3; i < scene.views.size(); ++i)
+      images.push_back(posed_image(scene.views[i], scene.frame, scene.z_range));
     const auto compared = [&](const std::array<double, 3>& shift) {
-      const auto c = compare_surfaces(made.surfels, scene, mask, shift, made.voxel);
+      const auto c = compare_surfaces(made.surfels, *scene.truth, images, mask, shift, made.voxel);
       REQUIRE(c);
       return scores_json(*c).dump();
     };

@@ -19,7 +19,7 @@ namespace satsurf::test {
 namespace {
 
 using mesh::FusionOptions;
-using mesh::HeightView;
+using mesh::HeightImage;
 using mesh::Mesh;
 
 /// A turned box on a plane.
@@ -62,13 +62,14 @@ struct Box {
 };
 
 /// Heights, confidences and colours of a box as affine cameras see it. The colour tells the height.
-std::vector<HeightView> views_of(const Box& box, Index size,
-                                 const std::vector<std::array<double, 2>>& slopes) {
-  std::vector<HeightView> views;
+std::vector<HeightImage> views_of(const Box& box, Index size,
+                                  const std::vector<std::array<double, 2>>& slopes) {
+  std::vector<HeightImage> views;
   for (const auto& s : slopes) {
     const AffineCamera camera{0.5, s[0], s[1], (static_cast<double>(size) - 1) / 2};
-    HeightView v{Tensor({size, size + 2}), Tensor({size, size + 2}, 0.8f),
-                 Tensor({3, size, size + 2}), camera.pixel_from_local(), camera.local_from_pixel()};
+    HeightImage v{Tensor({size, size + 2}), Tensor({size, size + 2}, 0.8f),
+                  Tensor({3, size, size + 2}), camera.pixel_from_local(),
+                  camera.local_from_pixel()};
     const Index P = v.height.count();
     for (Index p = 0; p < P; ++p) {
       const auto x = static_cast<double>(p % (size + 2)), y = static_cast<double>(p / (size + 2));
@@ -117,7 +118,7 @@ Deviation deviation(const Mesh& m, const Box& box, double voxel) {
 }
 
 /// A view from straight above of a level plane, `size` x `size` half metres around the origin.
-HeightView level(Index size, float z, float confidence) {
+HeightImage level(Index size, float z, float confidence) {
   const AffineCamera camera{0.5, 0, 0, (static_cast<double>(size) - 1) / 2};
   return {Tensor({size, size}, z),
           Tensor({size, size}, confidence),
@@ -183,7 +184,7 @@ TEST_CASE("where no camera has a height the surface is open") {
   const Box box;
   auto views = views_of(box, 120, kThreeSides);
   const auto hidden = [](double x, double y) { return std::hypot(x - 16, y + 14) < 6; };
-  for (HeightView& v : views)
+  for (HeightImage& v : views)
     for (Index p = 0; p < v.height.count(); ++p) {
       const auto at = v.local_from_pixel(static_cast<double>(p % 122), static_cast<double>(p / 122),
                                          static_cast<double>(v.height[p]));
@@ -199,7 +200,7 @@ TEST_CASE("single wrong pixels neither drill shafts nor raise towers") {
   const Box box;
   auto views = views_of(box, 120, kThreeSides);
   Rng rng(3);
-  for (HeightView& v : views)
+  for (HeightImage& v : views)
     for (int k = 0; k < 40; ++k)
       v.height[rng.below(v.height.count())] += rng.chance(0.5) ? -60.f : 60.f;
   for (const auto& p : mesh::mesh_from_views(views, {1, 5}).vertices) {
@@ -212,7 +213,7 @@ TEST_CASE("a mistake of one or two pixels says nothing, even where no other view
   for (const Index side : {1, 2}) {
     CAPTURE(side);
     const AffineCamera camera{0.5, 0.3, 0.2, 40};
-    HeightView v{
+    HeightImage v{
         Tensor({80, 80}, 7.f), {}, {}, camera.pixel_from_local(), camera.local_from_pixel()};
     Rng rng(8);
     for (int k = 0; k < 12; ++k) {
@@ -247,7 +248,7 @@ TEST_CASE("values are the weighted mean of the views' distances along their rays
   const double voxel = 0.7;
   SUBCASE("one slanting view of a slope") {
     const AffineCamera camera{0.5, 0.5, -0.25, 30};
-    HeightView v{Tensor({61, 63}), {}, {}, camera.pixel_from_local(), camera.local_from_pixel()};
+    HeightImage v{Tensor({61, 63}), {}, {}, camera.pixel_from_local(), camera.local_from_pixel()};
     // z = 1 + x / 4, so along a ray x = x0 - 0.25 z: z = (1 + x0 / 4) / 1.0625
     for (Index p = 0; p < v.height.count(); ++p)
       v.height[p] = static_cast<float>(
@@ -289,7 +290,7 @@ TEST_CASE("values are the weighted mean of the views' distances along their rays
 }
 
 TEST_CASE("small pieces are left out, the largest never") {
-  HeightView v = level(160, 5, 1);
+  HeightImage v = level(160, 5, 1);
   for (Index p = 0; p < v.height.count(); ++p) {
     const Index x = p % 160;
     if (x >= 100 && x < 130) v.height[p] = NAN;  // leaves 50 x 80 m and 15 x 80 m
@@ -333,14 +334,14 @@ TEST_CASE("a shape is the mesh without what only pictures need") {
   CHECK(shape->faces == whole.faces);
   CHECK(shape->normals.empty());
   CHECK(shape->colours.empty());
-  for (HeightView& v : views) v.rgb = {};
+  for (HeightImage& v : views) v.rgb = {};
   const Mesh plain = mesh::mesh_from_views(views, {0.6, 5});
   CHECK(plain.vertices == whole.vertices);
   CHECK(plain.normals == whole.normals);
   CHECK(plain.colours.empty());
 
   // Where there is no surface there is no shape, which is no error.
-  HeightView none = level(20, NAN, 1), thin = level(20, 1, 1);
+  HeightImage none = level(20, NAN, 1), thin = level(20, 1, 1);
   for (Index p = 0; p < 400; ++p)
     if (p != 210) thin.height[p] = NAN;
   CHECK_FALSE(mesh::shape_from_views(std::vector{none}, {1, 5}));
@@ -352,10 +353,10 @@ TEST_CASE("a shape is the mesh without what only pictures need") {
 }
 
 TEST_CASE("what cannot be fused is refused") {
-  const auto fuse = [](const HeightView& v, FusionOptions how) {
+  const auto fuse = [](const HeightImage& v, FusionOptions how) {
     return [=] { mesh::fuse(std::vector{v}, how); };
   };
-  const HeightView good = level(20, 1, 1);
+  const HeightImage good = level(20, 1, 1);
   CHECK(error_of<ConfigError>(fuse(good, {0, 5})) ==
         "fuse: voxel 0, expected a positive number of metres");
   CHECK(error_of<ConfigError>(fuse(good, {1, 9})) == "fuse: truncation 9, expected 2 to 8 voxels");
@@ -364,7 +365,7 @@ TEST_CASE("what cannot be fused is refused") {
   CHECK(error_of<Error>([] {
           mesh::fuse({}, {1, 5});
         }) == "fuse: no view has a height anywhere, expected views of a surface");
-  HeightView wrong = level(20, 1, 1);
+  HeightImage wrong = level(20, 1, 1);
   wrong.confidence = Tensor({20, 19});
   CHECK(
       error_of<ShapeError>(fuse(wrong, {1, 5})) ==
@@ -372,7 +373,7 @@ TEST_CASE("what cannot be fused is refused") {
   // a thousand million voxels a metre
   CHECK(error_of<Error>(fuse(level(2000, 1, 1), {0.01, 5})).find("voxels need about") !=
         std::string::npos);
-  HeightView thin = level(20, 1, 1);
+  HeightImage thin = level(20, 1, 1);
   for (Index p = 0; p < 400; ++p)
     if (p != 210) thin.height[p] = NAN;
   const mesh::Tsdf field = mesh::fuse(std::vector{thin}, {1, 5});

@@ -41,10 +41,11 @@ Worst worst_errors(const Rpc& a, const Rpc& b, const Pixel& centre, double size,
                    double half, std::uint64_t seed, std::array<Quadratic, 3>* maps = nullptr) {
   const LocalFrame frame = frame_at(a, centre, h);
   const Window window = window_around(centre, size);
-  const HeightRange range{h - half, h + half};
-  const Quadratic transfer = fit_transfer(a, b, frame, window, range);
-  const Quadratic localisation = fit_localisation(a, frame, window, range);
-  const Quadratic projection = fit_projection(a, frame, window, range);
+  const HeightRange range{h - half, h + half};  // m above the ellipsoid
+  const HeightRange z_range = frame.z_from_heights(range);
+  const Quadratic transfer = fit_transfer(a, b, frame, window, z_range);
+  const Quadratic localisation = fit_localisation(a, frame, window, z_range);
+  const Quadratic projection = fit_projection(a, frame, window, z_range);
   if (maps) *maps = {transfer, localisation, projection};
   Worst w;
   Rng rng(seed);
@@ -62,9 +63,10 @@ Worst worst_errors(const Rpc& a, const Rpc& b, const Pixel& centre, double size,
   return w;
 }
 
-std::array<std::array<double, 3>, 2> pixel_jacobian(const Rpc& r, const LocalFrame& frame,
-                                                    const std::array<double, 3>& p) {
-  std::array<std::array<double, 3>, 2> j{};
+/// The derivatives by central differences.
+PixelJacobian jacobian_by_differences(const Rpc& r, const LocalFrame& frame,
+                                      const std::array<double, 3>& p) {
+  PixelJacobian j{};
   for (std::size_t k = 0; k < 3; ++k) {
     auto up = p, down = p;
     up[k] += 1;
@@ -113,10 +115,10 @@ TEST_CASE("the local frame's height is the third input") {
   const Rpc a = test::synthetic_rpc(), b = test::synthetic_rpc(12.301, 45.1, -0.25, 0.1);
   LocalFrame frame = frame_at(a, {500, 600}, 100);
   const Window window{400, 500, 201, 99};
-  const HeightRange range{80, 140};
-  const Quadratic before = fit_transfer(a, b, frame, window, range);
+  const HeightRange heights{80, 140};
+  const Quadratic before = fit_transfer(a, b, frame, window, frame.z_from_heights(heights));
   frame.h0 += 30;
-  const Quadratic after = fit_transfer(a, b, frame, window, range);
+  const Quadratic after = fit_transfer(a, b, frame, window, frame.z_from_heights(heights));
   const auto p = before(450, 520, 20), q = after(450, 520, -10);
   CHECK(std::abs(p[0] - q[0]) < 1e-9);
   CHECK(std::abs(p[1] - q[1]) < 1e-9);
@@ -125,7 +127,8 @@ TEST_CASE("the local frame's height is the third input") {
 TEST_CASE("fits reach the outer edges of the window, and a single height will do") {
   const Rpc a = test::synthetic_rpc();
   const LocalFrame frame = frame_at(a, {500, 600}, 100);
-  const Quadratic map = fit_localisation(a, frame, {400, 500, 200, 100}, {100, 100});
+  const Quadratic map =
+      fit_localisation(a, frame, {400, 500, 200, 100}, {100 - frame.h0, 100 - frame.h0});
   CHECK(map.offset[0] == doctest::Approx(499.5));
   CHECK(map.scale[0] == doctest::Approx(100));
   CHECK(map.offset[1] == doctest::Approx(549.5));
@@ -149,7 +152,7 @@ TEST_CASE("fits refuse empty windows and reversed ranges") {
   const LocalFrame frame = frame_at(a, {500, 600}, 100);
   CHECK_THROWS_WITH_AS(fit_projection(a, frame, {0, 0, 0, 5}, {0, 1}),
                        "fit_projection: window of 0 x 5 px, expected a positive size", Error);
-  CHECK_THROWS_WITH_AS(fit_transfer(a, a, frame, {0, 0, 4, 5}, {2, 1}),
+  CHECK_THROWS_WITH_AS(fit_transfer(a, a, frame, {0, 0, 4, 5}, frame.z_from_heights({2, 1})),
                        "fit_transfer: height range 2 to 1 m, expected low <= high", Error);
 }
 
@@ -197,6 +200,51 @@ TEST_CASE("view geometry of an affine camera") {
   CHECK(nadir.direction == std::array<double, 3>{0, 0, 1});
 }
 
+TEST_CASE("the camera's derivatives in a local frame") {
+  const Rpc r = test::synthetic_rpc();
+  const LocalFrame own = frame_at(r, {500, 600}, 100);
+  LocalFrame neighbour = own;  // far from the central meridian, where north is turned most
+  neighbour.zone.number -= 1;
+  Rng rng(3);
+  for (const LocalFrame& frame : {own, neighbour})
+    for (int i = 0; i < 20; ++i) {
+      const Geodetic g =
+          r.localize({rng.uniform(0, 9000), rng.uniform(0, 9000)}, rng.uniform(0, 200));
+      const auto p = frame.local_from_geodetic(g);
+      const PixelJacobian found = pixel_jacobian(r, frame, p),
+                          expected = jacobian_by_differences(r, frame, p);
+      for (std::size_t k = 0; k < 2; ++k)
+        for (std::size_t a = 0; a < 3; ++a) CHECK(std::abs(found[k][a] - expected[k][a]) < 1e-7);
+    }
+}
+
+TEST_CASE("the inverse UTM map's derivatives") {
+  Rng rng(4);
+  for (int i = 0; i < 50; ++i) {
+    const UtmZone zone{1 + static_cast<int>(rng.below(60)), rng.uniform() < 0.5};
+    const double east = 500000 + rng.uniform(-4e5, 4e5), north = rng.uniform(1e6, 8e6);
+    const auto j = geodetic_from_utm_jacobian(zone, east, north);
+    constexpr double kStep = 10;  // m
+    for (std::size_t k = 0; k < 2; ++k) {
+      const double de = k == 0 ? kStep : 0, dn = k == 0 ? 0 : kStep;
+      const auto up = geodetic_from_utm(zone, east + de, north + dn),
+                 down = geodetic_from_utm(zone, east - de, north - dn);
+      CHECK(j[0][k] == doctest::Approx((up[0] - down[0]) / (2 * kStep)).epsilon(1e-7));
+      CHECK(j[1][k] == doctest::Approx((up[1] - down[1]) / (2 * kStep)).epsilon(1e-7));
+    }
+  }
+}
+
+TEST_CASE("inside an image is on one of its pixels") {
+  CHECK(inside_image({-0.5, -0.5}, 4, 3));
+  CHECK(inside_image({3.49, 2.49}, 4, 3));
+  CHECK_FALSE(inside_image({-0.51, 1}, 4, 3));
+  CHECK_FALSE(inside_image({1, -0.51}, 4, 3));
+  CHECK_FALSE(inside_image({3.5, 1}, 4, 3));
+  CHECK_FALSE(inside_image({1, 2.5}, 4, 3));
+  CHECK_FALSE(inside_image({std::nan(""), 1}, 4, 3));
+}
+
 TEST_CASE("view geometry refuses a mirrored image") {
   CHECK_THROWS_WITH_AS(view_geometry({{{2, 0, 0}, {0, 2, 0}}}),
                        "view_geometry: the viewing direction has an upward component 1, expected a "
@@ -224,7 +272,7 @@ TEST_CASE("real cameras: residuals of the quadratic maps") {
     }
     const LocalFrame frame = frame_at(a, centre, h);
     const auto p = frame.local_from_geodetic(a.localize(centre, h));
-    const ViewGeometry g = view_geometry(pixel_jacobian(a, frame, p));
+    const ViewGeometry g = view_geometry(jacobian_by_differences(a, frame, p));
     const double off_nadir =
         std::atan(std::hypot(g.direction[0], g.direction[1])) * 180 / std::numbers::pi;
     steepest = std::max(steepest, off_nadir);

@@ -99,8 +99,9 @@ TEST_CASE("a crop's cameras, pixels and true heights agree") {
   const TempFolder folder("dataset-2");
   write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
   const Scene scene = load_scene(folder.path(), "SIM_001");
-  const Crop crop =
-      make_crop(scene, {0, 2}, Index{3}, 0, 0, 0, 64, scene.z_low, scene.z_high, true);
+  const Crop crop = make_crop(
+      scene,
+      {.sources = {0, 2}, .target = 3, .size = 64, .z_range = scene.z_range, .with_truth = true});
   REQUIRE(crop.input.sources.size() == 2);
   REQUIRE(crop.target.has_value());
   REQUIRE(crop.source_truth.size() == 3);
@@ -134,8 +135,7 @@ TEST_CASE("pixels outside an image are invalid") {
   const TempFolder folder("dataset-3");
   write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
   const Scene scene = load_scene(folder.path(), "SIM_001");
-  const Crop crop =
-      make_crop(scene, {0, 1}, std::nullopt, 0, 0, 0, 128, scene.z_low, scene.z_high, false);
+  const Crop crop = make_crop(scene, {.sources = {0, 1}, .size = 128, .z_range = scene.z_range});
   const Tensor& valid = crop.input.sources[0].valid;
   CHECK(valid[0] == 0);
   CHECK(valid[64 * 128 + 64] == 1);
@@ -156,8 +156,7 @@ TEST_CASE("a Sat-NeRF folder holds the same scene as Track3 files") {
     REQUIRE(list_scenes(data) == std::vector<std::string>{"SIM_001"});
     const Scene scene = load_scene(data, "SIM_001");
     CHECK(scene.frame == known.frame);
-    CHECK(scene.z_low == known.z_low);
-    CHECK(scene.z_high == known.z_high);
+    CHECK(scene.z_range == known.z_range);
     REQUIRE(scene.truth.has_value());
     CHECK(same_values(scene.truth->z, known.truth->z));
     CHECK(scene.truth->x0 == known.truth->x0);
@@ -205,8 +204,7 @@ TEST_CASE("a Sat-NeRF folder holds the same scene as Track3 files") {
     const Scene read = load_scene(scene, "SIM_001");
     CHECK_FALSE(read.truth.has_value());
     CHECK(read.classes.empty());
-    CHECK(read.z_low + read.frame.h0 == -20);
-    CHECK(read.z_high + read.frame.h0 == 60);
+    CHECK(read.frame.heights_from_z(read.z_range) == rpc::HeightRange{-20, 60});
     const rpc::Geodetic g = known.frame.geodetic_from_local({3, -4, 1});
     CHECK(read.views[0].rpc.project(g).x ==
           doctest::Approx(known.views[0].rpc.project(g).x - 2).epsilon(1e-9));
@@ -297,17 +295,17 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
   for (const SimulatedView& v : made.views)
     scene.views.push_back({"v", v.rgb, Tensor({192, 192}, 1.f), v.rpc, 0, 0, "", "v.tif"});
   const double low = made.h_min - made.frame.h0, high = made.h_max - made.frame.h0;
-  const auto [found_low, found_high] = find_height_range(scene, low - 300, high + 300);
-  CHECK(found_low <
-        low + 8);  // percentiles may miss the deepest corner, the margin covers most of it
-  CHECK(found_high > low);
-  CHECK(found_high - found_low < high - low + 80);
-  CHECK_THROWS_AS(find_height_range(scene, high + 400, high + 700), Error);
+  const rpc::HeightRange found = find_height_range(scene, {low - 300, high + 300});
+  // percentiles may miss the deepest corner, the margin covers most of it
+  CHECK(found.low < low + 8);
+  CHECK(found.high > low);
+  CHECK(found.span() < high - low + 80);
+  CHECK_THROWS_AS(find_height_range(scene, {high + 400, high + 700}), Error);
   struct Stop {};
-  CHECK_THROWS_AS(find_height_range(scene, low, high, [] { throw Stop{}; }), Stop);
+  CHECK_THROWS_AS(find_height_range(scene, {low, high}, [] { throw Stop{}; }), Stop);
   for (Index i = 0; i < scene.views[1].rgb.count(); ++i)  // smooth, but not of one grey
     scene.views[1].rgb[i] = 0.3f + 0.1f * static_cast<float>(i % 192) / 192;
-  CHECK_THROWS_WITH_AS(find_height_range(scene, low, high),
+  CHECK_THROWS_WITH_AS(find_height_range(scene, {low, high}),
                        "v.tif: 0 windows with texture, expected 100 or more to compare with the "
                        "other images",
                        Error);

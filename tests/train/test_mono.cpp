@@ -183,9 +183,7 @@ TEST_CASE("monocular samples are a function of seed and step, and true") {
   for (const Scene& scene : scenes())
     for (const View& view : scene.views) {
       const auto heights = heights_in_view(
-          *scene.truth,
-          rpc::fit_localisation(view.rpc, scene.frame, {0, 0, 96, 96},
-                                {scene.z_low + scene.frame.h0, scene.z_high + scene.frame.h0}),
+          *scene.truth, rpc::fit_localisation(view.rpc, scene.frame, {0, 0, 96, 96}, scene.z_range),
           96, 96);
       for (Index s = 0; s < 8; ++s) {
         const nn::PosedImage v{turned(view.rgb, s), turned(view.valid, s), {}, {}};

@@ -1,0 +1,186 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/reconstruct/plan.h"
+
+#include "satsurf/core/error.h"
+#include "satsurf/core/memory.h"
+#include "satsurf/core/tensor.h"
+#include "satsurf/rpc/fit.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <utility>
+
+namespace satsurf::reconstruct {
+namespace {
+
+constexpr Index kWholeImage = 1280;  // px; larger images are cut into tiles
+constexpr Index kTile = 768;         // px; keeps the largest volume near 0.3 GB
+
+/// The corners, the middles of the sides and the middle of an image.
+std::array<rpc::Pixel, 9> outline(const scene::View& v) {
+  std::array<rpc::Pixel, 9> pixels;
+  std::size_t k = 0;
+  for (const double fx : {0.0, 0.5, 1.0})
+    for (const double fy : {0.0, 0.5, 1.0})
+      pixels[k++] = {fx * static_cast<double>(v.width()) - 0.5,
+                     fy * static_cast<double>(v.height()) - 0.5};
+  return pixels;
+}
+
+/// What at least two views see at one height.
+/// throws  Error if there is no such ground
+Ground common_ground(const scene::Scene& scene, double z) {
+  Ground all{INFINITY, INFINITY, -INFINITY, -INFINITY};
+  for (const scene::View& v : scene.views)
+    for (const rpc::Pixel& pixel : outline(v)) {
+      const auto p = scene.frame.local_from_geodetic(v.rpc.localize(pixel, z + scene.frame.h0));
+      all = {std::min(all.x0, p[0]), std::min(all.y0, p[1]), std::max(all.x1, p[0]),
+             std::max(all.y1, p[1])};
+    }
+  // fine enough to place tiles; the exact rim comes from the surfels themselves
+  constexpr Index kGrid = 128;
+  Ground common{INFINITY, INFINITY, -INFINITY, -INFINITY};
+  const double dx = all.width() / kGrid, dy = all.height() / kGrid;
+  for (Index i = 0; i < kGrid; ++i)
+    for (Index j = 0; j < kGrid; ++j) {
+      const double x = all.x0 + (static_cast<double>(j) + 0.5) * dx,
+                   y = all.y0 + (static_cast<double>(i) + 0.5) * dy;
+      if (views_containing(scene, {x, y, z}) < 2) continue;
+      common = {std::min(common.x0, x - dx / 2), std::min(common.y0, y - dy / 2),
+                std::max(common.x1, x + dx / 2), std::max(common.y1, y + dy / 2)};
+    }
+  if (!(common.width() > 0))
+    throw Error("reconstruct: no two images see the same ground, expected overlapping views");
+  return common;
+}
+
+/// Side of the largest ground square that every view's window holds for every height of the range.
+/// window   side of the windows, px
+/// cameras  derivatives of the views in the middle of the ground
+double tile_side(Index window, const std::vector<rpc::PixelJacobian>& cameras, double z_span) {
+  const double S = static_cast<double>(window);
+  double side = INFINITY;
+  for (const rpc::PixelJacobian& camera : cameras)
+    for (const auto& row : camera) {
+      const double room = std::max(S - std::abs(row[2]) * z_span, 0.25 * S);
+      side = std::min(side, room / (std::abs(row[0]) + std::abs(row[1])));
+    }
+  return side;
+}
+
+/// Equal tiles that cover a ground, row by row from the south-west.
+std::vector<Ground> tiles_of(const Ground& ground, double side) {
+  const Index columns = std::max<Index>(1, static_cast<Index>(std::ceil(ground.width() / side))),
+              rows = std::max<Index>(1, static_cast<Index>(std::ceil(ground.height() / side)));
+  const double w = ground.width() / static_cast<double>(columns),
+               h = ground.height() / static_cast<double>(rows);
+  std::vector<Ground> tiles;
+  for (Index r = 0; r < rows; ++r)
+    for (Index c = 0; c < columns; ++c) {
+      const double x = ground.x0 + static_cast<double>(c) * w,
+                   y = ground.y0 + static_cast<double>(r) * h;
+      tiles.push_back({x, y, x + w, y + h});
+    }
+  return tiles;
+}
+
+/// What a reconstruction takes of the memory.
+struct Memory {
+  double bytes;                       ///< of the whole program at most
+  std::vector<nn::PartMemory> parts;  ///< see ReconstructPlan
+};
+
+/// What the program needs at most: while the network looks at the last window, while the surface is
+/// rendered, or while a mesh is made of it.
+Memory plan_memory(const ReconstructPlan& plan, const nn::ModelConfig& model,
+                   const scene::Scene& scene) {
+  constexpr double kProgram = 150e6;           // code, libraries and weights
+  constexpr double kKept = 1.2;                // tensors, with freed ones that wait for reuse
+  constexpr double kView = 4, kSurfel = 14;    // floats a pixel, floats a surfel
+  constexpr double kSplat = 24, kMaps = 19;    // floats a surfel, floats a cell, to render
+  constexpr double kLists = 21;                // floats a surfel, beside the tensors
+  constexpr double kHeights = 9, kMesh = 110;  // floats a pixel, floats a column of voxels
+  const Index views = static_cast<Index>(scene.views.size());
+  const double window = static_cast<double>(plan.window) * static_cast<double>(plan.window) *
+                        static_cast<double>(views);
+  double pixels = 0;
+  for (const scene::View& v : scene.views) pixels += static_cast<double>(v.valid.count());
+  const double cells = static_cast<double>(plan.height) * static_cast<double>(plan.width);
+  std::vector<nn::PartMemory> parts = nn::forward_memory(model, views, plan.window, plan.window);
+  const double network =
+      nn::forward_bytes(model, views, plan.window, plan.window) +
+      sizeof(float) * (kView * window + kSurfel * (pixels - std::min(pixels, window)));
+  const double render = sizeof(float) * (kSplat * pixels + kMaps * cells);
+  parts.push_back({"surface", render});
+  const double columns =
+                   plan.voxel > 0 ? cells * plan.step * plan.step / (plan.voxel * plan.voxel) : 0,
+               mesh = columns > 0 ? (kSurfel + kHeights) * pixels + kMesh * columns : 0;
+  const double most =
+      std::max({network, render + sizeof(float) * kLists * pixels, sizeof(float) * mesh});
+  return {kProgram + kKept * (sizeof(float) * kView * pixels + most), std::move(parts)};
+}
+
+}  // namespace
+
+ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,
+                                    const ReconstructOptions& options) {
+  const double z = scene.z_range.middle();
+  ReconstructPlan plan;
+  plan.ground = common_ground(scene, z);
+  const Ground& ground = plan.ground;
+  const std::array<double, 3> middle{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
+                                     z};
+  std::vector<rpc::PixelJacobian> cameras;
+  double footprint = 0;
+  Index largest = 0;
+  for (const scene::View& v : scene.views) {
+    cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, middle));
+    footprint +=
+        rpc::view_geometry(cameras.back()).footprint / static_cast<double>(scene.views.size());
+    largest = std::max({largest, v.height(), v.width()});
+  }
+
+  const Index multiple = nn::size_multiple(model);
+  plan.whole_images = options.tile == 0 && largest <= kWholeImage;
+  const Index side = plan.whole_images ? largest : options.tile > 0 ? options.tile : kTile;
+  plan.window = (side + multiple - 1) / multiple * multiple;
+  plan.tiles = plan.whole_images
+                   ? std::vector<Ground>{ground}
+                   : tiles_of(ground, tile_side(plan.window, cameras, scene.z_range.span()));
+
+  // The grid starts at a whole multiple of its step, so that runs over one place share their cells.
+  const double step = options.resolution > 0 ? options.resolution : std::round(footprint * 20) / 20;
+  plan.step = step;
+  if (options.mesh)
+    plan.voxel =
+        *options.mesh > 0 ? *options.mesh : std::max(0.05, std::round(40 * footprint) / 20);
+  plan.east = std::floor((ground.x0 + scene.frame.easting0) / step) * step - scene.frame.easting0;
+  plan.north = std::ceil((ground.y1 + scene.frame.northing0) / step) * step - scene.frame.northing0;
+  plan.width = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - plan.east) / step)));
+  plan.height = std::max<Index>(1, static_cast<Index>(std::ceil((plan.north - ground.y0) / step)));
+  Memory memory = plan_memory(plan, model, scene);
+  plan.memory_bytes = memory.bytes;
+  plan.memory = std::move(memory.parts);
+  return plan;
+}
+
+void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {
+  const auto available = static_cast<double>(available_memory());
+  // What the images take is taken already.
+  const double held = static_cast<double>(tensor_bytes());
+  if (plan.memory_bytes - held <= available) return;
+  const auto times = [](Index a, Index b) { return std::to_string(a) + " x " + std::to_string(b); };
+  throw Error("reconstruct: " + std::to_string(scene.views.size()) + " windows of " +
+              times(plan.window, plan.window) + " px and a surface of " +
+              times(plan.width, plan.height) + " cells need about " +
+              memory_text(plan.memory_bytes) + " of memory, expected " + memory_text(available) +
+              " at most; give smaller images or a coarser --resolution");
+}
+
+Index views_containing(const scene::Scene& scene, const std::array<double, 3>& p_in_local) {
+  const rpc::Geodetic p = scene.frame.geodetic_from_local(p_in_local);
+  return std::ranges::count_if(scene.views, [&](const scene::View& v) { return v.contains(p); });
+}
+
+}  // namespace satsurf::reconstruct

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/nn/forward_memory.h"
+#include "satsurf/scene/scene.h"
+
+#include <array>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace satsurf::reconstruct {
+
+/// How a surface is made.
+struct ReconstructOptions {
+  double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
+  /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
+  Index tile = 0;
+  /// Voxel of the mesh that will be made of it, m, 0 for two ground pixels; none without a mesh.
+  std::optional<double> mesh;
+  /// Is told how far each stage has come, often, and also before the first. May be empty. To
+  /// cancel it throws: its own exception leaves `reconstruct` as it is, and nothing is kept.
+  std::function<void(const std::string& stage, double fraction)> progress;
+};
+
+/// A rectangle of ground, local m.
+struct Ground {
+  double x0 = 0, y0 = 0, x1 = 0, y1 = 0;
+  double width() const { return x1 - x0; }
+  double height() const { return y1 - y0; }
+  /// Whether a point lies in it or on its western or southern edge, so that it is in one of two
+  /// neighbours.
+  bool contains(double x, double y) const { return x >= x0 && x < x1 && y >= y0 && y < y1; }
+};
+
+/// What `reconstruct` is going to do.
+struct ReconstructPlan {
+  Ground ground;                ///< that two views see
+  double east = 0, north = 0;   ///< upper-left corner of the DSM, local m
+  double step = 0;              ///< its cell, m
+  double voxel = 0;             ///< of the mesh, m; 0 without one
+  Index height = 0, width = 0;  ///< its cells
+  Index window = 0;             ///< side of the network's windows, px
+  std::vector<Ground> tiles;    ///< what each window answers for
+  bool whole_images = false;    ///< the one window of a view holds its whole image
+  double memory_bytes = 0;      ///< of the whole program, within a tenth
+  /// Tensors of the network's parts, then of "surface", each within a tenth.
+  std::vector<nn::PartMemory> memory;
+};
+/// Sizes and memory of a reconstruction, before it begins.
+/// throws  Error if fewer than two views see a common ground
+ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,
+                                    const ReconstructOptions& options);
+
+/// throws  Error where the system has less memory than the plan needs
+void check_memory(const ReconstructPlan& plan, const scene::Scene& scene);
+
+/// Number of views into which a point of the scene falls, hidden or not.
+/// p_in_local  m
+Index views_containing(const scene::Scene& scene, const std::array<double, 3>& p_in_local);
+
+}  // namespace satsurf::reconstruct

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/rpc/frame.h"
+#include "satsurf/scene/polygon.h"
+
+namespace satsurf::scene {
+
+/// The four corners of an image on the ground.
+/// width, height  of the image, px
+/// zone           of the result
+/// h              m above the ellipsoid
+/// throws         Error
+Polygon footprint(const rpc::Rpc& rpc, Index width, Index height, const rpc::UtmZone& zone,
+                  double h);
+
+/// How a camera looks at its image's centre at height h.
+struct ViewAngles {
+  double gsd = 0;            ///< ground size of a pixel across the ray, m
+  double off_nadir_deg = 0;  ///< between the ray and the vertical at the ground
+  double azimuth_deg = 0;    ///< from the ground towards the satellite, clockwise from north
+};
+/// Those of an image of width x height px at h m above the ellipsoid.
+/// throws  Error
+ViewAngles view_angles(const rpc::Rpc& rpc, Index width, Index height, double h);
+
+/// Pixels by which a ground point moves in `b` against `a` per metre of height, at (lon, lat, h).
+double parallax(const rpc::Rpc& a, const rpc::Rpc& b, const rpc::Geodetic& p);
+
+}  // namespace satsurf::scene

@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
+#include "satsurf/nn/config.h"
+#include "satsurf/reconstruct/plan.h"
+
+#include <cmath>
+
+#include "tests/reconstruct/simulated.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::reconstruct;
+
+namespace {
+
+scene::Scene small_scene(Index views = 3) {
+  const scene::SimulatedScene made = test::village(96, views);
+  return scene::scene_from_images(test::HeldImages(made).images(), test::range_of(made)).scene;
+}
+
+double area(const Ground& g) { return g.width() * g.height(); }
+
+}  // namespace
+
+TEST_CASE("the grid starts at whole multiples of its step and covers the ground") {
+  const scene::Scene scene = small_scene();
+  const nn::ModelConfig model = nn::model_preset("tiny");
+  for (const double step : {0.0, 0.5, 0.7, 3.0}) {
+    CAPTURE(step);
+    ReconstructOptions options;
+    options.resolution = step;
+    const ReconstructPlan plan = plan_reconstruction(model, scene, options);
+    CHECK(plan.step == doctest::Approx(step > 0 ? step : 0.5).epsilon(0.11));
+    const double columns = (plan.east + scene.frame.easting0) / plan.step,
+                 rows = (plan.north + scene.frame.northing0) / plan.step;
+    CHECK(std::abs(columns - std::round(columns)) < 1e-6);
+    CHECK(std::abs(rows - std::round(rows)) < 1e-6);
+    CHECK(plan.east <= plan.ground.x0);
+    CHECK(plan.north >= plan.ground.y1);
+    const double right = plan.east + plan.step * static_cast<double>(plan.width),
+                 bottom = plan.north - plan.step * static_cast<double>(plan.height);
+    CHECK(right >= plan.ground.x1);
+    CHECK(right < plan.ground.x1 + plan.step);
+    CHECK(bottom <= plan.ground.y0);
+    CHECK(bottom > plan.ground.y0 - plan.step);
+  }
+}
+
+TEST_CASE("windows are multiples of the network's, and small images are one window") {
+  const scene::Scene scene = small_scene();
+  const nn::ModelConfig model = nn::model_preset("tiny");
+  const Index multiple = nn::size_multiple(model);
+  REQUIRE(multiple > 1);
+  ReconstructPlan plan = plan_reconstruction(model, scene, {});
+  CHECK(plan.whole_images);
+  CHECK(plan.tiles.size() == 1);
+  CHECK(plan.window % multiple == 0);
+  CHECK(plan.window >= 96);
+  CHECK(plan.window < 96 + multiple);
+  for (const Index asked : {Index{33}, Index{64}, Index{70}}) {
+    ReconstructOptions options;
+    options.tile = asked;
+    plan = plan_reconstruction(model, scene, options);
+    CHECK_FALSE(plan.whole_images);
+    CHECK(plan.window % multiple == 0);
+    CHECK(plan.window >= asked);
+    CHECK(plan.window < asked + multiple);
+  }
+}
+
+TEST_CASE("tiles cover the ground once, and every window holds its tile") {
+  const scene::Scene scene = small_scene();
+  ReconstructOptions options;
+  options.tile = 64;
+  const ReconstructPlan plan = plan_reconstruction(nn::model_preset("tiny"), scene, options);
+  REQUIRE(plan.tiles.size() > 1);
+  double covered = 0;
+  for (const Ground& t : plan.tiles) covered += area(t);
+  CHECK(covered == doctest::Approx(area(plan.ground)));
+  for (int i = 0; i < 20; ++i)
+    for (int j = 0; j < 20; ++j) {
+      const double x = plan.ground.x0 + (j + 0.5) / 20 * plan.ground.width(),
+                   y = plan.ground.y0 + (i + 0.5) / 20 * plan.ground.height();
+      int in = 0;
+      for (const Ground& t : plan.tiles) in += t.contains(x, y);
+      CHECK(in == 1);
+    }
+  const double half = static_cast<double>(plan.window) / 2;
+  for (const Ground& t : plan.tiles)
+    for (const scene::View& v : scene.views) {
+      const double z_middle = scene.z_range.middle();
+      const rpc::Pixel centre = v.rpc.project(
+          scene.frame.geodetic_from_local({0.5 * (t.x0 + t.x1), 0.5 * (t.y0 + t.y1), z_middle}));
+      for (const double x : {t.x0, t.x1})
+        for (const double y : {t.y0, t.y1})
+          for (const double z : {scene.z_range.low, scene.z_range.high}) {
+            const rpc::Pixel p = v.rpc.project(scene.frame.geodetic_from_local({x, y, z}));
+            CHECK(std::abs(p.x - centre.x) < half + 1);  // windows start at whole pixels
+            CHECK(std::abs(p.y - centre.y) < half + 1);
+          }
+    }
+}
+
+TEST_CASE("memory grows with the images and the surface") {
+  const nn::ModelConfig model = nn::model_preset("tiny");
+  const ReconstructPlan two = plan_reconstruction(model, small_scene(2), {}),
+                        four = plan_reconstruction(model, small_scene(4), {});
+  CHECK(four.memory_bytes > two.memory_bytes);
+  REQUIRE(four.memory.size() == two.memory.size());
+  CHECK(four.memory.back().part == "surface");
+  for (std::size_t i = 0; i < two.memory.size(); ++i)
+    CHECK(four.memory[i].bytes >= two.memory[i].bytes);
+  ReconstructOptions fine;
+  fine.resolution = 0.1;
+  CHECK(plan_reconstruction(model, small_scene(2), fine).memory_bytes > two.memory_bytes);
+  ReconstructOptions mesh;
+  mesh.mesh = 0.05;
+  const ReconstructPlan meshed = plan_reconstruction(model, small_scene(2), mesh);
+  CHECK(meshed.voxel == 0.05);
+  CHECK(meshed.memory_bytes > two.memory_bytes);
+  CHECK(two.voxel == 0);
+}
+
+TEST_CASE("views of different places are refused") {
+  scene::Scene scene = small_scene(2);
+  scene.views[1].rpc.lon_off += 0.01;  // a kilometre
+  CHECK_THROWS_WITH_AS(plan_reconstruction(nn::model_preset("tiny"), scene, {}),
+                       "reconstruct: no two images see the same ground, expected overlapping views",
+                       Error);
+}

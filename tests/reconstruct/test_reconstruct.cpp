@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
+#include "satsurf/nn/weights_file.h"
+#include "satsurf/reconstruct/reconstruct.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "tests/reconstruct/simulated.h"
+#include "tests/temp_folder.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::reconstruct;
+
+namespace {
+
+bool same_bits(const Tensor& a, const Tensor& b) {
+  return a.shape() == b.shape() &&
+         std::memcmp(a.data(), b.data(), static_cast<std::size_t>(a.count()) * sizeof(float)) == 0;
+}
+
+void check_same(const Reconstruction& a, const Reconstruction& b) {
+  CHECK(a.frame == b.frame);
+  CHECK(same_bits(a.dsm.z, b.dsm.z));
+  CHECK(a.dsm.x0 == b.dsm.x0);
+  CHECK(a.dsm.y0 == b.dsm.y0);
+  CHECK(same_bits(a.confidence, b.confidence));
+  CHECK(same_bits(a.surfels.means.value(), b.surfels.means.value()));
+  CHECK(same_bits(a.surfels.colours.value(), b.surfels.colours.value()));
+}
+
+}  // namespace
+
+TEST_CASE("images in memory give the same surface as their files") {
+  const test::TempFolder folder("reconstruct");
+  scene::write_scene(test::village(96, 3), folder.path(), "SIM_001");
+  std::vector<std::filesystem::path> files;
+  for (const auto& entry : std::filesystem::directory_iterator(folder / "Track3-RGB"))
+    files.push_back(entry.path());
+  std::sort(files.begin(), files.end());
+  REQUIRE(files.size() == 3);
+  test::HeldImages held;
+  for (const auto& file : files) {
+    const rpc::Image image = rpc::open_view(file);
+    held.add(file.stem().string(), image.pixels, 1, *image.info.rpc);
+  }
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  const rpc::HeightRange range = test::range_of(test::village(96, 3));
+  const scene::UserScene read = scene::scene_from_views(files, {}, range);
+  const Reconstruction from_files = reconstruct::reconstruct(model, read.scene, {});
+  CHECK(from_files.surfels.means.dim(0) > 100);
+
+  std::vector<scene::ImageInMemory> images = held.images();
+  const scene::UserScene user = scene::scene_from_images(images, range);
+  CHECK(user.scene.views[1].label() == files[1].stem().string());
+  CHECK(user.scene.views[1].files.empty());
+  check_same(reconstruct::reconstruct(model, user.scene, {}), from_files);
+
+  SUBCASE("in whatever order and type the values lie") {
+    std::vector<std::uint16_t> shorts(held.bytes(0).size());
+    std::vector<std::uint8_t> mixed(held.bytes(1).size());
+    std::vector<float> floats(held.bytes(2).size());
+    const std::size_t pixels = mixed.size() / 3;
+    for (std::size_t p = 0; p < pixels; ++p)
+      for (std::size_t c = 0; c < 3; ++c) mixed[3 * p + c] = held.bytes(1)[c * pixels + p];
+    images[1].pixels = std::span<const std::uint8_t>(mixed);
+    images[1].interleaved = true;
+    check_same(reconstruct::reconstruct(model, scene::scene_from_images(images, range).scene, {}),
+               from_files);
+    // other types are stretched, so the surface is another one, but one of the same ground
+    std::copy(held.bytes(0).begin(), held.bytes(0).end(), shorts.begin());
+    std::copy(held.bytes(2).begin(), held.bytes(2).end(), floats.begin());
+    images[0].pixels = std::span<const std::uint16_t>(shorts);
+    images[2].pixels = std::span<const float>(floats);
+    const Reconstruction other =
+        reconstruct::reconstruct(model, scene::scene_from_images(images, range).scene, {});
+    CHECK(other.dsm.z.shape() == from_files.dsm.z.shape());
+    CHECK_FALSE(same_bits(other.dsm.z, from_files.dsm.z));
+  }
+  SUBCASE("what is not valid says nothing") {
+    std::vector<std::uint8_t> valid(96 * 96, 1);
+    std::fill(valid.begin(), valid.begin() + 96 * 48, std::uint8_t{0});
+    images[2].valid = valid;
+    const scene::Scene half = scene::scene_from_images(images, range).scene;
+    double sum = 0;
+    for (const float v : half.views[2].valid.values()) sum += static_cast<double>(v);
+    CHECK(sum == 96 * 48);
+  }
+}
+
+TEST_CASE("images in memory that do not fit are refused by name") {
+  const test::HeldImages held(test::village(64, 2));
+  std::vector<scene::ImageInMemory> images = held.images();
+  images[1].width = 63;
+  CHECK_THROWS_WITH_AS(scene::scene_from_images(images),
+                       "scene_from_images: view_1: 12288 values, expected 12096 (63 x 64 px of 3 "
+                       "channels)",
+                       Error);
+  images = held.images();
+  const std::vector<std::uint8_t> none(64 * 64, 0), few(5, 1);
+  images[0].valid = few;
+  CHECK_THROWS_WITH_AS(scene::scene_from_images(images),
+                       "scene_from_images: view_0: validity of 5 pixels, expected none or 4096",
+                       Error);
+  images[0].valid = none;
+  CHECK_THROWS_WITH_AS(scene::scene_from_images(images),
+                       "scene_from_images: view_0: no valid pixel, expected an image", Error);
+  images.resize(1);
+  images[0].valid = {};
+  CHECK_THROWS_WITH_AS(scene::scene_from_images(images),
+                       "reconstruct: view_0 is the only image, expected two or more", Error);
+}
+
+TEST_CASE("a caller's own exception cancels a reconstruction") {
+  struct Stop {
+    int at;
+  };
+  const scene::SimulatedScene made = test::village(64, 2);
+  const test::HeldImages held(made);
+  int calls = 0;
+  const auto poll = [&] {
+    if (++calls == 2) throw Stop{calls};
+  };
+  CHECK_THROWS_AS(scene::scene_from_images(held.images(), test::range_of(made), poll), Stop);
+
+  const scene::Scene scene = scene::scene_from_images(held.images(), test::range_of(made)).scene;
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  std::vector<std::string> stages;
+  ReconstructOptions options;
+  double last = -1;
+  options.progress = [&](const std::string& stage, double fraction) {
+    if (stages.empty() || stages.back() != stage) stages.push_back(stage), last = -1;
+    CHECK(fraction >= last);
+    last = fraction;
+  };
+  const Reconstruction whole = reconstruct::reconstruct(model, scene, options);
+  CHECK(stages == std::vector<std::string>{"network", "surface"});
+  for (const char* where : {"network", "surface"}) {
+    calls = 0;
+    options.progress = [&](const std::string& stage, double) {
+      if (stage == where && ++calls == 2) throw Stop{calls};
+    };
+    CHECK_THROWS_AS(reconstruct::reconstruct(model, scene, options), Stop);
+  }
+  // and leaves nothing behind that the next run could notice
+  check_same(reconstruct::reconstruct(model, scene, {}), whole);
+}
+
+TEST_CASE("every image keeps the camera its window was given") {
+  const scene::SimulatedScene made = test::village(96, 3);
+  const scene::Scene scene =
+      scene::scene_from_images(test::HeldImages(made).images(), test::range_of(made)).scene;
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  for (const Index tile : {Index{0}, Index{64}}) {
+    CAPTURE(tile);
+    ReconstructOptions options;
+    options.tile = tile;
+    const Reconstruction out = reconstruct::reconstruct(model, scene, options);
+    REQUIRE(out.images.size() == 3);
+    for (std::size_t i = 0; i < 3; ++i) {
+      const nn::PosedImage& image = out.images[i];
+      CHECK(same_bits(image.rgb, scene.views[i].rgb));
+      for (const double x : {0.0, 95.0})
+        for (const double y : {0.0, 95.0})
+          for (const double z : {scene.z_range.low, scene.z_range.high}) {
+            const auto p = scene.frame.local_from_geodetic(
+                scene.views[i].rpc.localize({x, y}, z + scene.frame.h0));
+            const auto ground = image.local_from_pixel(x, y, z);
+            const auto pixel = image.pixel_from_local(p[0], p[1], z);
+            CHECK(std::hypot(ground[0] - p[0], ground[1] - p[1]) < 1e-3);
+            CHECK(std::hypot(pixel[0] - x, pixel[1] - y) < 1e-3);
+          }
+    }
+  }
+}
+
+TEST_CASE("tiles give the surface of the whole, without seams") {
+  const scene::SimulatedScene made = test::village(256, 3);
+  const scene::Scene scene =
+      scene::scene_from_images(test::HeldImages(made).images(), test::range_of(made)).scene;
+  const nn::Model model = nn::load_model(SATSURF_TEST_WEIGHTS);
+  ReconstructOptions options;
+  options.resolution = 0.5;
+  const Reconstruction whole = reconstruct::reconstruct(model, scene, options);
+  options.tile = 128;
+  const ReconstructPlan plan = plan_reconstruction(model.config(), scene, options);
+  const Reconstruction tiled = reconstruct::reconstruct(model, scene, options);
+  REQUIRE(whole.tiles == 1);
+  REQUIRE(tiled.tiles == static_cast<Index>(plan.tiles.size()));
+  REQUIRE(tiled.tiles >= 4);
+  REQUIRE(tiled.dsm.z.shape() == whole.dsm.z.shape());
+  CHECK(std::abs(tiled.completeness - whole.completeness) < 0.02);
+
+  // How far a cell is from the nearest edge between two tiles, m.
+  const auto to_seam = [&](double x, double y) {
+    double nearest = INFINITY;
+    for (const Ground& t : plan.tiles) {
+      if (t.x0 > plan.ground.x0) nearest = std::min(nearest, std::abs(x - t.x0));
+      if (t.y0 > plan.ground.y0) nearest = std::min(nearest, std::abs(y - t.y0));
+    }
+    return nearest;
+  };
+  struct Mean {
+    double sum = 0, n = 0;
+    void add(double v) { sum += v, n += 1; }
+    double value() const { return sum / n; }
+  };
+  // Against the truth, at the seams and away from them: one window, and tiles.
+  Mean whole_seam, whole_inner, tiled_seam, tiled_inner;
+  Index both = 0, near = 0, close = 0;
+  const Index W = whole.dsm.z.dim(1);
+  for (Index i = 0; i < whole.dsm.z.count(); ++i) {
+    const double a = static_cast<double>(whole.dsm.z[i]), b = static_cast<double>(tiled.dsm.z[i]);
+    if (!std::isfinite(a) || !std::isfinite(b)) continue;
+    both += 1, near += std::abs(a - b) < 0.1, close += std::abs(a - b) < 0.5;
+    const double x = whole.dsm.x0 + (static_cast<double>(i % W) + 0.5) * whole.dsm.step,
+                 y = whole.dsm.y0 - (static_cast<double>(i / W) + 0.5) * whole.dsm.step;
+    const double east = x + scene.frame.easting0 - made.frame.easting0,
+                 north = y + scene.frame.northing0 - made.frame.northing0;
+    const auto column = static_cast<Index>(std::floor((east - made.dsm.x0) / made.dsm.step)),
+               row = static_cast<Index>(std::floor((made.dsm.y0 - north) / made.dsm.step));
+    if (row < 0 || column < 0 || row >= made.dsm.z.dim(0) || column >= made.dsm.z.dim(1)) continue;
+    const double truth = static_cast<double>(made.dsm.z[row * made.dsm.z.dim(1) + column]) +
+                         made.frame.h0 - scene.frame.h0;
+    const bool seam = to_seam(x, y) < 2;
+    (seam ? whole_seam : whole_inner).add(std::abs(a - truth));
+    (seam ? tiled_seam : tiled_inner).add(std::abs(b - truth));
+  }
+  const double n = static_cast<double>(both);
+  CAPTURE(static_cast<double>(near) / n);
+  CAPTURE(static_cast<double>(close) / n);
+  CHECK(static_cast<double>(near) > 0.4 * n);
+  CHECK(static_cast<double>(close) > 0.8 * n);
+  CAPTURE(whole_seam.value());
+  CAPTURE(tiled_seam.value());
+  CAPTURE(whole_inner.value());
+  CAPTURE(tiled_inner.value());
+  REQUIRE(tiled_seam.n > 0.1 * n);
+  CHECK(tiled_inner.value() < 1.05 * whole_inner.value());
+  // Where tiles meet, tiling costs less than a twentieth of the error that is there anyway.
+  CHECK(tiled_seam.value() < 1.05 * whole_seam.value());
+  CHECK(tiled_seam.value() < 1.15 * tiled_inner.value());
+}
