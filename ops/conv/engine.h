@@ -43,8 +43,8 @@
 ///
 /// Decisions, all from the sizes alone so that results do not depend on the number of threads:
 ///
-///   path of the sums    correlation_route in gather.cpp: straight to the output where a kernel of
-///                       one tap makes both layouts equal; through channels in lanes where columns
+///   path of the sums    correlation_route in gather.cpp: straight to the output where a kernel has
+///                       one tap and rows are whole vectors; with channels in lanes where columns
 ///                       have stride 2 and there are channels enough, so that columns need not be
 ///                       split; through lines otherwise
 ///   mixing of rows      with_mixed_rows in axes.cpp: three taps, stride 1, and outputs enough to
