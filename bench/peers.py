@@ -35,7 +35,6 @@ OPS = [
     ('group_norm_relu', 'C:32/D:3/side:256', ['groupnorm8+relu [3,32,256,256]'], 'norm'),
     ('relu', 'C:32/side:256', ['relu [3,32,256,256]'], ''),
     ('add', 'C:32/side:256', ['add [3,32,256,256]'], ''),
-    ('softmax_hypotheses', 'B:1/D:48/side:256', ['softmax D [1,48,256,256]'], ''),
     ('softmax_expectation_max', 'B:1/D:48/side:256', ['softmax+expectation D48'], ''),
     ('resize_bilinear_x2', 'B:1/C:32/side:256', ['upsample2x bilinear [1,32,256,256]'], ''),
     ('resize_nearest_x2', 'B:1/C:32/side:256', ['upsample2x nearest [1,32,256,256]'], ''),
