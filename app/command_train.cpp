@@ -6,6 +6,7 @@
 #include "satsurf/app/record.h"
 #include "satsurf/app/training_output.h"
 #include "satsurf/core/fields_json.h"
+#include "satsurf/nn/shipped_weights.h"
 
 #include <cmath>
 #include <cstdio>
@@ -61,7 +62,7 @@ class RecentTerm {
 /// the files of weights that the run will read.
 std::vector<fs::path> prepare(train::TrainConfig& config, bool resume) {
   if (!resume && config.mono_weights.empty() && train::needs_branch(config))
-    config.mono_found = find_shipped("mono12.safetensors", "monocular weights", "--mono_weights");
+    config.mono_found = nn::shipped_weights(nn::ShippedNetwork::mono, "give --mono_weights FILE");
   std::vector<fs::path> files;
   if (config.model.mono != nn::MonoBranch::none) files = {config.mono_weights, config.mono_found};
   files.insert(files.end(), {config.init, config.lpips_weights});

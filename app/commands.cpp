@@ -4,13 +4,12 @@
 #include "satsurf/app/record.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/version.h"
+#include "satsurf/nn/shipped_weights.h"
 
 #include <atomic>
 #include <cmath>
 #include <csignal>
 #include <cstdio>
-#include <cstdlib>
-#include <system_error>
 
 namespace satsurf::app {
 namespace {
@@ -36,27 +35,9 @@ void catch_interrupts() {
 bool interrupted() { return signal_seen != 0; }
 int interrupt_signal() { return signal_seen; }
 
-fs::path find_shipped(const std::string& name, const std::string& what, const std::string& flag) {
-  std::error_code ignored;
-  const fs::path program = fs::read_symlink("/proc/self/exe", ignored).parent_path();
-  std::vector<fs::path> places{program.parent_path() / "share/satsurf" / name};
-  // a build tree lies inside the sources: build/PRESET/bin
-  fs::path up = program;
-  for (int level = 0; level < 3; ++level) up = up.parent_path();
-  places.push_back(up / "nn/weights" / name);
-  std::string looked;
-  for (const fs::path& place : places) {
-    if (fs::exists(place)) return place;
-    looked += (looked.empty() ? "" : ", ") + place.string();
-  }
-  throw IoError(what + ": none found, expected one of " + looked + "; give " + flag + " FILE");
-}
-
 fs::path find_weights(const fs::path& asked) {
-  if (!asked.empty()) return asked;
-  if (const char* named = std::getenv("SATSURF_WEIGHTS"); named != nullptr && *named != '\0')
-    return named;
-  return find_shipped("base8.safetensors", "weights", "--weights");
+  return asked.empty() ? nn::shipped_weights(nn::ShippedNetwork::surface, "give --weights FILE")
+                       : asked;
 }
 
 std::vector<std::string> frame_comments(const rpc::LocalFrame& frame) {

@@ -122,14 +122,9 @@ struct RenderCommand {
 /// Renders a surfel file into a camera or from above.
 void run_render(const RenderCommand& options);
 
-/// The file asked for; else the one SATSURF_WEIGHTS names; else the one shipped with the program.
-/// throws  IoError naming the places looked in
+/// The file asked for; else the shipped weights.
+/// throws  IoError as nn::shipped_weights
 std::filesystem::path find_weights(const std::filesystem::path& asked);
-/// A file that comes with the program, beside it when installed or in the sources when built there.
-/// what, flag  for the error text: what is missing, and where to name another
-/// throws      IoError naming the places
-std::filesystem::path find_shipped(const std::string& name, const std::string& what,
-                                   const std::string& flag);
 
 /// The frame of a surfel or mesh file, as comment lines of its header.
 std::vector<std::string> frame_comments(const rpc::LocalFrame& frame);

@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
+# Headers below app that users of the libraries do not get, as regular expressions over "/ROOM/FILE": for install()
+# and for tests/layers.cmake.
+set(satsurf_internal_headers
+  "_kernels\\.h$"
+  "/core/(simd|fields_json)\\.h$"
+  "/ops/conv/(axes|engine|kernels|slab|weights|winograd)\\.h$"
+  "/splat/bin\\.h$"
+  "/rpc/gdal\\.h$"
+  "/mesh/sampled_view\\.h$"
+  "/scene/(ray_walk|satnerf)\\.h$"
+  "/scene/simulate/(city|layout|noise|orbit|render)\\.h$"
+  "/reconstruct/trust\\.h$")
+# Of the readers' room the engine has the cameras alone.
+set(satsurf_reader_headers "/rpc/(raster|read)\\.h$")
