@@ -82,9 +82,9 @@ MonoSample window(const MonoTrainConfig& config, const std::vector<scene::Scene>
 /// The monocular network and its objective.
 class MonoTask : public TrainingTask {
  public:
-  MonoTask(const MonoTrainConfig& config, const std::vector<scene::Scene>& scenes,
+  MonoTask(nn::Mono& mono, const MonoTrainConfig& config, const std::vector<scene::Scene>& scenes,
            std::uint64_t seed)
-      : config_(config), scenes_(scenes), seed_(seed), mono_(config.mono, seed) {}
+      : mono_(mono), config_(config), scenes_(scenes), seed_(seed) {}
 
   nn::ParameterSet<float>& parameters() override { return mono_.parameters(); }
   std::string prefix() const override { return nn::kMonoPrefix; }
@@ -94,10 +94,10 @@ class MonoTask : public TrainingTask {
   }
 
  private:
+  nn::Mono& mono_;
   const MonoTrainConfig& config_;
   const std::vector<scene::Scene>& scenes_;
   std::uint64_t seed_;
-  nn::Mono mono_;
 };
 
 }  // namespace
@@ -144,16 +144,19 @@ double mono_correlation(const Tensor& height, const Tensor& truth, const Tensor&
   return maps > 0 ? sum / maps : std::nan("");
 }
 
-void train(const MonoTrainConfig& config, const fs::path& data, std::uint64_t seed,
-           const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
+nn::Mono train(const MonoTrainConfig& config, const fs::path& data, std::uint64_t seed,
+               const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
   check_fields(config, "train");
   if (config.task != "mono") throw ConfigError("train: task is " + config.task + ", expected mono");
   if (config.crop % nn::kMonoMultiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +
                       ", expected a multiple of " + std::to_string(nn::kMonoMultiple));
   const auto scenes = training_scenes(data, 1, callbacks.reading);
-  MonoTask task(config, scenes, seed);
-  run_training(task, config, {to_json(config).dump(), scenes.size(), seed, checkpoint}, callbacks);
+  nn::Mono mono(config.mono, seed);
+  MonoTask task(mono, config, scenes, seed);
+  run_training(task, config, to_json(config).dump(),
+               {.seed = seed, .checkpoint = checkpoint, .scenes = scenes.size()}, callbacks);
+  return mono;
 }
 
 }  // namespace satsurf::train

@@ -66,7 +66,7 @@ double mono_correlation(const Tensor& height, const Tensor& truth, const Tensor&
 /// Trains the monocular network on the views of a folder's scenes; arguments as those of the
 /// surface network's `train`. Terms of a step: `ssi`, `gradient`, `correlation`.
 /// throws  IoError, ConfigError
-void train(const MonoTrainConfig& config, const std::filesystem::path& data, std::uint64_t seed,
-           const std::filesystem::path& checkpoint, const TrainingCallbacks& callbacks);
+nn::Mono train(const MonoTrainConfig& config, const std::filesystem::path& data, std::uint64_t seed,
+               const std::filesystem::path& checkpoint, const TrainingCallbacks& callbacks);
 
 }  // namespace satsurf::train

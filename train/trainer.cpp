@@ -2,6 +2,7 @@
 #include "satsurf/train/trainer.h"
 
 #include "satsurf/core/fields_json.h"
+#include "satsurf/nn/weights_file.h"
 #include "satsurf/train/augment.h"
 #include "satsurf/train/loss.h"
 
@@ -18,20 +19,19 @@ namespace fs = std::filesystem;
 /// The surface network and its objective.
 class SurfaceTask : public TrainingTask {
  public:
-  SurfaceTask(const TrainConfig& config, const std::vector<scene::Scene>& scenes,
+  SurfaceTask(nn::Model& model, const TrainConfig& config, const SampleSource& sample,
               std::uint64_t seed)
-      : config_(config), scenes_(scenes), seed_(seed), model_(config.model, seed) {
+      : model_(model), config_(config), sample_(sample), seed_(seed) {
     if (!config.lpips_weights.empty()) lpips_ = nn::Lpips::load(config.lpips_weights);
   }
-  nn::Model& model() { return model_; }
 
   nn::ParameterSet<float>& parameters() override { return model_.parameters(); }
   std::string prefix() const override { return nn::kModelPrefix; }
   void store(TensorFile& file) const override { nn::store_model(file, model_); }
   StepLoss loss(Index step) const override {
-    const scene::Crop crop = training_sample(config_, scenes_, seed_, step);
+    const scene::Crop crop = sample_(step);
     const LossReport loss =
-        training_loss(config_, config_.model, model_.forward(crop.input), crop,
+        training_loss(config_, model_.config(), model_.forward(crop.input), crop,
                       {.step = step, .seed = seed_, .lpips = lpips_ ? &*lpips_ : nullptr});
     return {loss.total,
             {{"height_mae", loss.height_mae},
@@ -40,10 +40,10 @@ class SurfaceTask : public TrainingTask {
   }
 
  private:
-  const TrainConfig& config_;
-  const std::vector<scene::Scene>& scenes_;
+  nn::Model& model_;
+  const LossConfig& config_;
+  const SampleSource& sample_;
   std::uint64_t seed_;
-  nn::Model model_;
   std::optional<nn::Lpips> lpips_;
 };
 
@@ -140,8 +140,17 @@ std::vector<std::string> idle_settings(const TrainConfig& config) {
   return out;
 }
 
-void train(const TrainConfig& config, const fs::path& data, std::uint64_t seed,
-           const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
+void train_on_samples(nn::Model& model, const TrainConfig& config, const SampleSource& sample,
+                      const TrainingRun& run, const TrainingCallbacks& callbacks) {
+  check_fields(config, "train_on_samples");
+  TrainConfig recorded = config;
+  recorded.model = model.config();
+  SurfaceTask task(model, config, sample, run.seed);
+  run_training(task, config, to_json(recorded).dump(), run, callbacks);
+}
+
+nn::Model train(const TrainConfig& config, const fs::path& data, std::uint64_t seed,
+                const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
   check_fields(config, "train");
   if (config.task != "surface")
     throw ConfigError("train: task is " + config.task + ", expected surface");
@@ -160,9 +169,12 @@ void train(const TrainConfig& config, const fs::path& data, std::uint64_t seed,
     throw ConfigError("train: mono_weights is " + config.mono_weights + ", but " + config.init +
                       " has a monocular branch already, expected one of them");
   const auto scenes = training_scenes(data, config.views + 1, callbacks.reading);  // and one target
-  SurfaceTask task(config, scenes, seed);
-  if (branch) nn::load_mono_branch(task.model(), mono);
-  run_training(task, config, {to_json(config).dump(), scenes.size(), seed, checkpoint}, callbacks);
+  nn::Model model(config.model, seed);
+  if (branch) nn::load_mono_branch(model, mono);
+  train_on_samples(
+      model, config, [&](Index step) { return training_sample(config, scenes, seed, step); },
+      {.seed = seed, .checkpoint = checkpoint, .scenes = scenes.size()}, callbacks);
+  return model;
 }
 
 }  // namespace satsurf::train

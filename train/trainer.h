@@ -2,13 +2,11 @@
 #pragma once
 
 #include "satsurf/nn/model.h"
-#include "satsurf/nn/weights_file.h"
 #include "satsurf/train/loss.h"
 #include "satsurf/train/training.h"
 
 #include <filesystem>
 #include <functional>
-#include <map>
 #include <string>
 #include <vector>
 
@@ -47,17 +45,36 @@ bool needs_branch(const TrainConfig& config);
 /// is missing, weights of a branch that the network does not have.
 std::vector<std::string> idle_settings(const TrainConfig& config);
 
-/// Trains on the scenes of a folder.
+/// Sample number `step` of a run, from 0: windows of one place, all of one size, with what is known
+/// of its surface. It depends on nothing else, for it may be asked for again: by an interrupted run
+/// that goes on, or to find what made a loss infinite. May throw to stop.
+using SampleSource = std::function<scene::Crop(Index step)>;
+
+/// Trains a network on samples of one's own.
+/// model      in training from its present parameters, or from what `init` or a checkpoint has; a
+///            monocular branch stays as it is
+/// config     objective and optimiser; that of the network is the model's. What else concerns the
+///            making of networks and samples is not read: `preset`, `mono_weights`, `crop`, `views`,
+///            `range_jitter`, `radiometry`, `grey_share`
+/// sample     called for every step
+/// callbacks  what the caller is told; without `save` nothing is kept (see `keep_in`)
+/// throws     IoError, ConfigError; ShapeError if the samples do not fit the network; Error if a
+///            loss is not finite
+void train_on_samples(nn::Model& model, const TrainConfig& config, const SampleSource& sample,
+                      const TrainingRun& run = {}, const TrainingCallbacks& callbacks = {});
+
+/// Trains a new network on the scenes of a folder: `train_on_samples` of `training_sample`.
 /// config      all settings
 /// data        data set, see `scene::list_scenes`
 /// seed        of the initial weights and the samples
 /// checkpoint  go on from this file, bit for bit as if never interrupted; empty for a new run
 /// callbacks   what the caller is told; without `save` nothing is kept
+/// returns     the network as it is when the steps are done or `step` says stop
 /// throws      IoError, ConfigError; also where the model has a monocular branch and none of
 ///             `init`, `mono_weights` and `mono_found` names a file that has it, for it is not
 ///             trained here, and where both `init` and `mono_weights` do
-void train(const TrainConfig& config, const std::filesystem::path& data, std::uint64_t seed,
-           const std::filesystem::path& checkpoint, const TrainingCallbacks& callbacks);
+nn::Model train(const TrainConfig& config, const std::filesystem::path& data, std::uint64_t seed,
+                const std::filesystem::path& checkpoint, const TrainingCallbacks& callbacks);
 
 /// Sample number `step` of a run: a pure function of scenes, configuration, seed and step.
 scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::Scene>& scenes,

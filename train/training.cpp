@@ -10,7 +10,7 @@
 #include <chrono>
 #include <cmath>
 #include <fstream>
-#include <map>
+#include <memory>
 #include <set>
 
 namespace satsurf::train {
@@ -132,9 +132,24 @@ void TrainingFolder::save(const TensorFile& checkpoint, const TensorFile& weight
   save_safetensors(folder_ / "weights.safetensors", weights);
 }
 
-void run_training(TrainingTask& task, const TrainingSettings& settings, const TrainingRun& run,
+TrainingCallbacks keep_in(const fs::path& folder, std::function<bool(const StepReport&)> step) {
+  fs::create_directories(folder);
+  const auto files = std::make_shared<TrainingFolder>(folder);
+  TrainingCallbacks callbacks;
+  callbacks.step = [files, step = std::move(step)](const StepReport& report) {
+    files->add(report);
+    return !step || step(report);
+  };
+  callbacks.save = [files](const TensorFile& checkpoint, const TensorFile& weights) {
+    files->save(checkpoint, weights);
+  };
+  return callbacks;
+}
+
+void run_training(TrainingTask& task, const TrainingSettings& settings,
+                  const std::string& config_text, const TrainingRun& run,
                   const TrainingCallbacks& callbacks) {
-  const nlohmann::json config = nlohmann::json::parse(run.config);
+  const nlohmann::json config = nlohmann::json::parse(config_text);
   nn::AdamW optimiser(task.parameters(), {.weight_decay = settings.weight_decay});
   const bool resume = !run.checkpoint.empty();
   if (resume)

@@ -98,20 +98,20 @@ class TrainingTask {
   virtual StepLoss loss(Index step) const = 0;
 };
 
-/// What a run is, besides its task and settings.
+/// What a run is, besides its network, settings and samples.
 struct TrainingRun {
-  std::string config;      ///< all settings as JSON, which the files keep and resuming compares
-  std::size_t scenes = 0;  ///< trained on, for the files to tell
-  std::uint64_t seed = 0;  ///< of the initial weights and the samples
-  std::filesystem::path checkpoint;  ///< to go on from, bit for bit; empty for a new run
+  std::uint64_t seed = 0;              ///< of the initial weights and of all that is drawn
+  std::filesystem::path checkpoint{};  ///< to go on from, bit for bit; empty for a new run
+  std::size_t scenes = 0;              ///< trained on, for the files to tell
 };
 
 /// Optimises a network with AdamW and a one-cycle learning rate.
 /// task      the network and its objective
 /// settings  of the run
+/// config    all settings as JSON, which the files keep and resuming compares
 /// throws    IoError, ConfigError; Error if loss or gradient is not finite
-void run_training(TrainingTask& task, const TrainingSettings& settings, const TrainingRun& run,
-                  const TrainingCallbacks& callbacks);
+void run_training(TrainingTask& task, const TrainingSettings& settings, const std::string& config,
+                  const TrainingRun& run, const TrainingCallbacks& callbacks);
 
 /// The files of a run in a folder: `checkpoint.safetensors` (all that resuming needs),
 /// `weights.safetensors` (the network alone) and `train.jsonl` (a line per step).
@@ -133,6 +133,13 @@ class TrainingFolder {
   std::filesystem::path folder_;
   std::ofstream lines_;
 };
+
+/// Callbacks that keep a training's files in a folder (`TrainingFolder`), which is made if there is
+/// none.
+/// step    told of every step once its line is written; returning false stops. May be empty
+/// throws  IoError
+TrainingCallbacks keep_in(const std::filesystem::path& folder,
+                          std::function<bool(const StepReport&)> step = {});
 
 /// All scenes of a data set, each with the truth.
 /// least    images of each

@@ -16,18 +16,9 @@ template <class Config>
 void train_in_folder(const Config& config, const std::filesystem::path& data,
                      const std::filesystem::path& folder, std::uint64_t seed, bool resume = false,
                      const std::function<bool(const train::StepReport&)>& step = {}) {
-  std::filesystem::create_directories(folder);
-  train::TrainingFolder files(folder);
-  train::TrainingCallbacks callbacks;
-  callbacks.step = [&](const train::StepReport& r) {
-    files.add(r);
-    return step ? step(r) : true;
-  };
-  callbacks.save = [&](const TensorFile& checkpoint, const TensorFile& weights) {
-    files.save(checkpoint, weights);
-  };
-  train::train(config, data, seed, resume ? files.checkpoint() : std::filesystem::path(),
-               callbacks);
+  train::train(config, data, seed,
+               resume ? folder / "checkpoint.safetensors" : std::filesystem::path(),
+               train::keep_in(folder, step));
 }
 
 }  // namespace satsurf::test
