@@ -19,6 +19,8 @@ set(examples own_operator fit_surfels)
 set(by_pkg_config own_operator:satsurf-engine)
 if(LIBRARY)
   list(APPEND components library)
+  list(APPEND examples train_on_samples reconstruct_in_memory)
+  list(APPEND by_pkg_config train_on_samples:satsurf)
 endif()
 
 file(REMOVE_RECURSE ${WORK})
