@@ -173,7 +173,7 @@ void stage_infer(benchmark::State& state) {
     geometry.push_back(nn::pixel_geometry(v, 0, stride));
   const double reach = stage == 0 ? 25 : 25 / number(Index{4} << stage);
   const Tensor heights = nn::uniform_hypotheses<float>(
-      {.views = N, .height = side, .width = side, .hypotheses = D}, -reach, reach);
+      {.views = N, .height = side, .width = side, .hypotheses = D}, {-reach, reach});
   const Var features = normal({N, C, side, side}), image = normal({N, 3, side, side});
   const NoGrad no_grad;
   const auto run = [&] {

@@ -57,30 +57,29 @@ template <class T>
 BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
                                 const StageHeights<T>* previous) {
   if (grid.hypotheses == 0) return {};
-  if (previous == nullptr)
-    return uniform_hypotheses<T>(grid, scene.z_range.low, scene.z_range.high);
+  if (previous == nullptr) return uniform_hypotheses<T>(grid, scene.z_range);
   const NoGrad no_grad;
   const BasicVar<T> centre = resize_bilinear(previous->height.detach(), grid.height, grid.width);
   // a surface at the very edge of the range stays inside the band
   const double margin = 2 * grid.interval;
-  return narrowed_hypotheses(grid, centre.value(), scene.z_range.low - margin,
-                             scene.z_range.high + margin);
+  return narrowed_hypotheses(grid, centre.value(), scene.z_range.widened(margin));
 }
 
 template <class T>
-BasicTensor<T> uniform_hypotheses(const StageGrid& grid, double low, double high) {
+BasicTensor<T> uniform_hypotheses(const StageGrid& grid, const rpc::HeightRange& range) {
   const Index N = grid.views, D = grid.hypotheses, H = grid.height, W = grid.width;
   auto out = BasicTensor<T>::uninitialised({N, D, H, W});
   for_each_index(N * D, [&](Index nd) {
     const double t = static_cast<double>(nd % D) / static_cast<double>(D - 1);
-    std::fill_n(out.data() + nd * H * W, H * W, static_cast<T>(low + t * (high - low)));
+    std::fill_n(out.data() + nd * H * W, H * W, static_cast<T>(range.low + t * range.span()));
   });
   return out;
 }
 
 template <class T>
-BasicTensor<T> narrowed_hypotheses(const StageGrid& grid, const BasicTensor<T>& centre, double low,
-                                   double high) {
+BasicTensor<T> narrowed_hypotheses(const StageGrid& grid, const BasicTensor<T>& centre,
+                                   const rpc::HeightRange& range) {
+  const auto [low, high] = range;
   const Index N = grid.views, D = grid.hypotheses, H = grid.height, W = grid.width, P = H * W;
   if (centre.shape() != Shape{N, H, W})
     throw ShapeError("narrowed_hypotheses: centre has shape " + centre.shape().str() +
@@ -103,10 +102,10 @@ BasicTensor<T> narrowed_hypotheses(const StageGrid& grid, const BasicTensor<T>& 
 template Tensor stage_hypotheses(const NetworkInput&, const StageGrid&, const StageHeights<float>*);
 template BasicTensor<double> stage_hypotheses(const NetworkInput&, const StageGrid&,
                                               const StageHeights<double>*);
-template Tensor uniform_hypotheses(const StageGrid&, double, double);
-template BasicTensor<double> uniform_hypotheses(const StageGrid&, double, double);
-template Tensor narrowed_hypotheses(const StageGrid&, const Tensor&, double, double);
+template Tensor uniform_hypotheses(const StageGrid&, const rpc::HeightRange&);
+template BasicTensor<double> uniform_hypotheses(const StageGrid&, const rpc::HeightRange&);
+template Tensor narrowed_hypotheses(const StageGrid&, const Tensor&, const rpc::HeightRange&);
 template BasicTensor<double> narrowed_hypotheses(const StageGrid&, const BasicTensor<double>&,
-                                                 double, double);
+                                                 const rpc::HeightRange&);
 
 }  // namespace satsurf::nn

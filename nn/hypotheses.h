@@ -35,22 +35,22 @@ template <class T>
 BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
                                 const StageHeights<T>* previous);
 
-/// Heights from low to high, both included, the same for every pixel.
-/// grid       its interval is not read
-/// low, high  m
-/// returns    [N D h w] m
+/// Heights over a whole range, both ends included, the same for every pixel.
+/// grid     its interval is not read
+/// range    local m
+/// returns  [N D h w] m
 template <class T>
-BasicTensor<T> uniform_hypotheses(const StageGrid& grid, double low, double high);
+BasicTensor<T> uniform_hypotheses(const StageGrid& grid, const rpc::HeightRange& range);
 
-/// Heights around each pixel's centre height; a window that would leave [low, high] is shifted back
+/// Heights around each pixel's centre height; a window that would leave the range is shifted back
 /// inside, not squeezed.
-/// grid       of the stage
-/// centre     [N h w] m
-/// low, high  m
-/// returns    [N D h w] m
-/// throws     ShapeError
+/// grid     of the stage
+/// centre   [N h w] m
+/// range    local m
+/// returns  [N D h w] m
+/// throws   ShapeError
 template <class T>
-BasicTensor<T> narrowed_hypotheses(const StageGrid& grid, const BasicTensor<T>& centre, double low,
-                                   double high);
+BasicTensor<T> narrowed_hypotheses(const StageGrid& grid, const BasicTensor<T>& centre,
+                                   const rpc::HeightRange& range);
 
 }  // namespace satsurf::nn

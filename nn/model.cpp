@@ -82,7 +82,7 @@ StageParts<T> make_stage(ParameterSet<T>& p, const ModelConfig& config, std::siz
   const std::string name = "stage" + std::to_string(stage + 1);
   const Index features = config.base * kStrides[stage],
               head_in = 3 + features + config.hypotheses[stage];  // and the confidence
-  StageParts<T> parts{HeightSearch<T>(p, name + ".cost", config, stage, features),
+  StageParts<T> parts{HeightSearch<T>(p, name + ".cost", config, stage),
                       SurfelHead<T>(p, name + ".head", head_in + 1, config.head_width[stage]),
                       {},
                       {}};
@@ -121,6 +121,8 @@ struct BasicModel<T>::Parts {
       stages.push_back(make_stage(parameters, config, s, extract_features.mono_channels(s)));
   }
 
+  /// The figure of the method: features of all views, then three times CMMF, hypotheses, search,
+  /// CSRG and surfels, each stage told by the one before where to look.
   std::array<StageOutput<T>, 3> run(const NetworkInput& scene, const std::function<void()>& poll,
                                     std::vector<PartMemory>* memory) const;
 

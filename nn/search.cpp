@@ -32,12 +32,12 @@ StageHeights<T> interpolated(const StageHeights<T>& previous, const StageGrid& g
 
 template <class T>
 HeightSearch<T>::HeightSearch(ParameterSet<T>& p, const std::string& name,
-                              const ModelConfig& config, std::size_t stage, Index channels)
+                              const ModelConfig& config, std::size_t stage)
     : variance_includes_reference_(config.variance_includes_reference),
       joint_(config.confidence == Confidence::joint) {
   if (config.hypotheses[stage] == 0) return;
   cost_.emplace(p, name,
-                CostNetOptions{.channels = channels,
+                CostNetOptions{.channels = config.base * kStrides[stage],
                                .base = config.volume_base,
                                .levels = config.volume_levels,
                                .context = config.context});

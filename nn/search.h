@@ -36,10 +36,9 @@ struct SearchOutput {
 template <class T>
 class HeightSearch {
  public:
-  /// stage     counts from 0
-  /// channels  C of the features
+  /// stage  counts from 0
   HeightSearch(ParameterSet<T>& p, const std::string& name, const ModelConfig& config,
-               std::size_t stage, Index channels);
+               std::size_t stage);
   /// scene   its pixel transfers
   /// grid    of the stage
   /// poll    called between layers, may throw to stop

@@ -173,15 +173,15 @@ TEST_CASE("blocks keep, halve and double sizes") {
 }
 
 TEST_CASE("hypotheses") {
-  const auto uniform =
-      nn::uniform_hypotheses<double>({.views = 2, .height = 3, .width = 4, .hypotheses = 8}, -5, 9);
+  const auto uniform = nn::uniform_hypotheses<double>(
+      {.views = 2, .height = 3, .width = 4, .hypotheses = 8}, {-5, 9});
   CHECK(uniform[0] == -5);
   CHECK(uniform[7 * 12] == 9);
   CHECK(uniform[12] - uniform[0] == doctest::Approx(2));
   const auto centre = BasicTensor<double>::from({1, 1, 3}, {0.0, -4.9, 8.9});
   const nn::StageGrid grid{.views = 1, .height = 1, .width = 3, .hypotheses = 4, .interval = 0.5};
-  const auto narrow = nn::narrowed_hypotheses(grid, centre, -5.0, 9.0);
-  CHECK_THROWS_AS(nn::narrowed_hypotheses(grid, uniform, -5.0, 9.0), ShapeError);
+  const auto narrow = nn::narrowed_hypotheses(grid, centre, {-5, 9});
+  CHECK_THROWS_AS(nn::narrowed_hypotheses(grid, uniform, {-5, 9}), ShapeError);
   for (Index i = 0; i < 3; ++i) {
     for (Index d = 0; d < 3; ++d)
       CHECK(narrow[(d + 1) * 3 + i] - narrow[d * 3 + i] == doctest::Approx(0.5));
