@@ -41,4 +41,13 @@ Quadratic rescale_pixels(const Quadratic& map, double in_stride, double out_stri
   return r;
 }
 
+Quadratic shift_pixels(const Quadratic& map, std::array<double, 2> in, std::array<double, 2> out) {
+  Quadratic r = map;
+  for (std::size_t k = 0; k < 2; ++k) {
+    r.offset[k] -= in[k];
+    r.coeff[k][0] -= out[k];
+  }
+  return r;
+}
+
 }  // namespace satsurf

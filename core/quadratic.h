@@ -31,4 +31,10 @@ struct Quadratic {
 /// out_stride  s of the outputs; 1 leaves them as they are
 Quadratic rescale_pixels(const Quadratic& map, double in_stride, double out_stride);
 
+/// The same map after moving the origins of the pixels: inputs become p - in, outputs out_k - out.
+/// map  from pixels x, y and a height to pixels
+/// in   new origin of the input pixels x, y
+/// out  new origin of the output pixels
+Quadratic shift_pixels(const Quadratic& map, std::array<double, 2> in, std::array<double, 2> out);
+
 }  // namespace satsurf

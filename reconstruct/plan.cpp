@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/reconstruct/plan.h"
 
+#include "satsurf/core/block_pool.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/memory.h"
-#include "satsurf/core/tensor.h"
 #include "satsurf/rpc/fit.h"
 
 #include <algorithm>

@@ -71,3 +71,12 @@ TEST_CASE("quadratic: rescaled pixels mean the same points") {
   const Quadratic same = rescale_pixels(full, 1, 1);
   CHECK(same(3, 4, 5)[0] == doctest::Approx(full(3, 4, 5)[0]).epsilon(1e-14));
 }
+
+TEST_CASE("quadratic: shifted origins mean the same points") {
+  const Quadratic q = sample(6);
+  const Quadratic moved = shift_pixels(q, {128, -64}, {32, 7});
+  const auto wanted = q(200, 10, 5), got = moved(200 - 128, 10 + 64, 5);
+  CHECK(got[0] == doctest::Approx(wanted[0] - 32).epsilon(1e-12));
+  CHECK(got[1] == doctest::Approx(wanted[1] - 7).epsilon(1e-12));
+  CHECK(moved.rms == q.rms);
+}
