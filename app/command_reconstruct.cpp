@@ -43,18 +43,6 @@ double mean_of(const Tensor& t) {
   return sum / n;
 }
 
-/// throws ConfigError for a range that holds no surface
-void check_range(const rpc::HeightRange& range) {
-  constexpr double kLeastSpan = 1;  // m
-  if (range.span() >= kLeastSpan) return;
-  char text[120];
-  std::snprintf(text, sizeof text,
-                "--height-range: %.10g %.10g, expected the lower height first and a span of at "
-                "least %g m",
-                range.low, range.high, kLeastSpan);
-  throw ConfigError(text);
-}
-
 /// What was asked for, for the record.
 nlohmann::json config_json(const ReconstructCommand& options, const fs::path& weights) {
   nlohmann::json config{{"images", options.images},
@@ -258,7 +246,7 @@ void print_summary(const reconstruct::Reconstruction& made, const scene::Scene& 
 }  // namespace
 
 void run_reconstruct(const ReconstructCommand& options) {
-  if (options.height_range) check_range(*options.height_range);
+  if (options.height_range) scene::check_height_range(*options.height_range);
   const NoGrad no_grad;
   const fs::path weights = find_weights(options.weights);
   std::vector<fs::path> apart{weights};

@@ -125,6 +125,7 @@ RangeChoice choose_range(const std::optional<rpc::HeightRange>& wanted,
                          const std::optional<rpc::HeightRange>& named,
                          const std::vector<View>& views) {
   if (wanted) {
+    check_height_range(*wanted);
     check_wanted(*wanted, views);
     return {*wanted, "as given"};
   }
@@ -197,6 +198,17 @@ void check_overlaps(const std::vector<View>& views, const std::vector<Polygon>& 
 }
 
 }  // namespace
+
+void check_height_range(const rpc::HeightRange& wanted) {
+  constexpr double kLeastSpan = 1;  // m
+  if (wanted.span() >= kLeastSpan) return;
+  char text[120];
+  std::snprintf(text, sizeof text,
+                "--height-range: %.10g %.10g, expected the lower height first and a span of at "
+                "least %g m",
+                wanted.low, wanted.high, kLeastSpan);
+  throw ConfigError(text);
+}
 
 void ViewList::add(const rpc::Image& image, const std::string& name, const fs::path& file) {
   View view = view_of(image, file);

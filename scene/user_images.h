@@ -18,6 +18,9 @@ struct RangeChoice {
   std::string source;             ///< in words: where it came from
 };
 
+/// throws  ConfigError for a wanted range that holds no surface: reversed, or of less than a metre
+void check_height_range(const rpc::HeightRange& wanted);
+
 /// A scene of a user's own images.
 struct UserScene {
   Scene scene;

@@ -110,8 +110,12 @@ TEST_CASE("images in memory that do not fit are refused by name") {
   images[0].valid = none;
   CHECK_THROWS_WITH_AS(scene::scene_from_images(images),
                        "scene_from_images: view_0: no valid pixel, expected an image", Error);
-  images.resize(1);
   images[0].valid = {};
+  CHECK_THROWS_WITH_AS(scene::scene_from_images(images, rpc::HeightRange{40, 20}),
+                       "--height-range: 40 20, expected the lower height first and a span of at "
+                       "least 1 m",
+                       ConfigError);
+  images.resize(1);
   CHECK_THROWS_WITH_AS(scene::scene_from_images(images),
                        "reconstruct: view_0 is the only image, expected two or more", Error);
 }
