@@ -29,6 +29,10 @@ struct ElementOf<std::span<E>> {
   using type = E;
 };
 template <>
+struct ElementOf<OptionalPair*> {
+  using type = double;
+};
+template <>
 struct ElementOf<EnumTarget> {  // as files and flags have it
   using type = std::string;
 };
@@ -41,6 +45,10 @@ template <class T>
 inline constexpr bool kIsSpan = false;
 template <class E>
 inline constexpr bool kIsSpan<std::span<E>> = true;
+
+template <class E>
+inline constexpr bool kIsText =
+    std::is_same_v<E, std::string> || std::is_same_v<E, std::filesystem::path>;
 
 template <class E>
 constexpr FieldRef::Kind kind_of() {
@@ -60,6 +68,8 @@ std::string to_text(const E& value) {
     return value ? "true" : "false";
   } else if constexpr (std::is_same_v<E, std::string>) {
     return value;
+  } else if constexpr (std::is_same_v<E, std::filesystem::path>) {
+    return value.string();
   } else {
     char buffer[64];  // the shortest text that reads back as the same number
     const auto end = std::to_chars(buffer, buffer + sizeof buffer, value).ptr;
@@ -73,7 +83,7 @@ bool parse(const std::string& text, E& value) {
   if constexpr (std::is_same_v<E, bool>) {
     value = text == "true" || text == "1";
     return value || text == "false" || text == "0";
-  } else if constexpr (std::is_same_v<E, std::string>) {
+  } else if constexpr (kIsText<E>) {
     value = text;
     return true;
   } else {
@@ -102,11 +112,12 @@ template <class E>
 bool allowed(const Field& meta, const E& value) {
   if constexpr (std::is_same_v<E, std::string>) {
     return meta.choices.empty() || std::ranges::find(meta.choices, value) != meta.choices.end();
-  } else if constexpr (std::is_same_v<E, bool>) {
+  } else if constexpr (std::is_same_v<E, bool> || std::is_same_v<E, std::filesystem::path>) {
     return true;
   } else {
     const auto d = static_cast<double>(value);
-    return d >= meta.min && d <= meta.max;  // false for NaN
+    return (d >= meta.min && d <= meta.max) ||  // false for NaN
+           (d == 0 && !meta.automatic.empty());
   }
 }
 
@@ -140,6 +151,8 @@ std::vector<std::string> texts_of(const FieldRef& field) {
           for (const auto& x : *t) out.push_back(to_text<E>(x));
         else if constexpr (kIsSpan<Target>)
           for (const auto& x : t) out.push_back(to_text<E>(x));
+        else if constexpr (std::is_same_v<Target, OptionalPair*>)
+          for (std::size_t i = 0; *t && i < 2; ++i) out.push_back(to_text((**t)[i]));
         else
           out.push_back(to_text<E>(*t));
         return out;
@@ -150,10 +163,11 @@ std::vector<std::string> texts_of(const FieldRef& field) {
 std::size_t fixed_length(const FieldTarget& target) {
   return std::visit(
       [](const auto& t) -> std::size_t {
-        if constexpr (kIsSpan<std::remove_cvref_t<decltype(t)>>)
+        using Target = std::remove_cvref_t<decltype(t)>;
+        if constexpr (kIsSpan<Target>)
           return t.size();
         else
-          return 0;
+          return std::is_same_v<Target, OptionalPair*> ? 2 : 0;
       },
       target);
 }
@@ -219,7 +233,7 @@ std::size_t edit_distance(const std::string& a, const std::string& b) {
   return row.back();
 }
 
-std::string quoted(const std::string& text) { return "'" + text + "'"; }
+std::string in_quotes(const std::string& text) { return "'" + text + "'"; }
 
 std::string range_text(const FieldRef& field) {
   if (!field.meta.choices.empty()) return join(field.meta.choices, " | ");
@@ -232,8 +246,11 @@ std::string range_text(const FieldRef& field) {
 
 std::string type_text(const FieldRef& field) {
   static constexpr const char* kNames[] = {"bool", "integer", "number", "text"};
-  const std::string name = kNames[static_cast<std::size_t>(field.kind())];
+  const std::string name =
+      field.is_path() ? "file" : kNames[static_cast<std::size_t>(field.kind())];
   if (!field.is_list()) return name;
+  if (field.is_path()) return name + "s";
+  if (std::holds_alternative<OptionalPair*>(field.target)) return "2 " + name + "s";
   const std::size_t n = fixed_length(field.target);
   return (n > 0 ? std::to_string(n) + " " : "") + "comma-separated " + name + "s";
 }
@@ -253,7 +270,16 @@ bool FieldRef::is_list() const {
       [](const auto& t) {
         using Target = std::remove_cvref_t<decltype(t)>;
         if constexpr (std::is_same_v<Target, EnumTarget>) return t.list;
-        return kIsVector<Target> || kIsSpan<Target>;
+        return kIsVector<Target> || kIsSpan<Target> || std::is_same_v<Target, OptionalPair*>;
+      },
+      target);
+}
+
+bool FieldRef::is_path() const {
+  return std::visit(
+      [](const auto& t) {
+        using E = typename ElementOf<std::remove_cvref_t<decltype(t)>>::type;
+        return std::is_same_v<E, std::filesystem::path>;
       },
       target);
 }
@@ -266,7 +292,7 @@ void detail::refuse_value(const FieldRef& field, const std::string& shown,
 
 void detail::refuse_choice(const std::string& name, const std::vector<std::string>& choices,
                            const std::string& where) {
-  throw ConfigError(where + ": " + quoted(name) + ", expected one of " + join(choices, ", "));
+  throw ConfigError(where + ": " + in_quotes(name) + ", expected one of " + join(choices, ", "));
 }
 
 void detail::refuse_unknown(const std::string& name, const std::vector<std::string>& known,
@@ -285,8 +311,8 @@ void detail::refuse_unknown(const std::string& name, const std::vector<std::stri
     }
   }
   const bool near = best <= std::max<std::size_t>(2, name.size() / 3);
-  throw ConfigError(where + ": unknown key " + quoted(name) +
-                    (near ? ", did you mean " + quoted(nearest) + "?"
+  throw ConfigError(where + ": unknown key " + in_quotes(name) +
+                    (near ? ", did you mean " + in_quotes(nearest) + "?"
                           : ", expected one of " + join(known, ", ")));
 }
 
@@ -314,6 +340,10 @@ void detail::assign_field(const FieldRef& field, const std::vector<std::string>&
         } else if constexpr (kIsSpan<Target>) {
           if (values.size() != t.size()) refuse_value(field, shown, where);
           std::copy(values.begin(), values.end(), t.begin());
+        } else if constexpr (std::is_same_v<Target, OptionalPair*>) {
+          if (values.empty()) return t->reset();
+          if (values.size() != 2) refuse_value(field, shown, where);
+          *t = {values[0], values[1]};
         } else {
           if (values.size() != 1) refuse_value(field, shown, where);
           *t = values[0];
@@ -326,7 +356,7 @@ void detail::set_ref(const std::vector<FieldRef>& fields, const std::string& nam
                      const std::string& text, const std::string& where) {
   for (const FieldRef& f : fields)
     if (f.name == name)
-      return assign_field(f, f.is_list() ? split(text) : std::vector{text}, quoted(text), where);
+      return assign_field(f, f.is_list() ? split(text) : std::vector{text}, in_quotes(text), where);
   std::vector<std::string> known;
   for (const FieldRef& f : fields) known.push_back(f.name);
   refuse_unknown(name, known, where);
@@ -339,12 +369,9 @@ void detail::check_refs(const std::vector<FieldRef>& fields, const std::string& 
   }
 }
 
-std::vector<FieldInfo> detail::describe_refs(const std::vector<FieldRef>& fields) {
-  std::vector<FieldInfo> rows;
-  for (const FieldRef& f : fields)
-    rows.push_back(
-        {f.name, type_text(f), join(texts_of(f), ","), range_text(f), f.meta.unit, f.meta.help});
-  return rows;
+FieldInfo detail::describe_ref(const FieldRef& f) {
+  return {f.name,      type_text(f), join(texts_of(f), ","), range_text(f),
+          f.meta.unit, f.meta.help,  f.meta.automatic};
 }
 
 std::string markdown_table(const std::vector<FieldInfo>& rows) {
@@ -362,7 +389,8 @@ std::string markdown_table(const std::vector<FieldInfo>& rows) {
   std::string out =
       "| Name | Type | Default | Range | Unit | Meaning |\n| --- | --- | --- | --- | --- | --- |\n";
   for (const FieldInfo& r : rows)
-    out += "| " + code(r.name) + " | " + r.type + " | " + code(r.value) + " | " + cell(r.range) +
+    out += "| " + code(r.name) + " | " + r.type + " | " +
+           (r.automatic.empty() ? code(r.value) : cell(r.automatic)) + " | " + cell(r.range) +
            " | " + cell(r.unit) + " | " + cell(r.help) + " |\n";
   return out;
 }

@@ -5,6 +5,8 @@
 
 #include <array>
 #include <cstdint>
+#include <filesystem>
+#include <optional>
 #include <span>
 #include <string>
 #include <type_traits>
@@ -29,9 +31,12 @@ namespace satsurf {
 //   };
 //
 // and JSON (core/fields_json.h), command-line flags, help and the saved record are all derived from
-// it. Supported field types: bool, int, Index, std::uint64_t, float, double, std::string and
-// enumerations, std::vector and std::array of those (of enumerations std::vector only), and nested
-// structs, whose fields are named `model.base`.
+// it. Supported field types: bool, int, Index, std::uint64_t, float, double, std::string,
+// std::filesystem::path and enumerations, std::vector and std::array of those (of enumerations
+// std::vector only), OptionalPair, and nested structs, whose fields are named `model.base`.
+
+/// Two numbers or nothing, which JSON leaves out.
+using OptionalPair = std::optional<std::array<double, 2>>;
 
 /// The names of an enumeration's values, in the order of the values from 0 on, as files and flags
 /// spell them. To be specialised for every enumeration that is a field:
@@ -56,6 +61,14 @@ struct Field {
   std::string unit{};
   double min = -1e300, max = 1e300;    ///< inclusive range of every number in the field
   std::vector<std::string> choices{};  ///< allowed strings, empty for any
+  /// What 0, the empty text or nothing stands for, e.g. `two pixels on the ground`. Then 0 may lie
+  /// outside the range.
+  std::string automatic{};
+  /// How the command line spells it where that is not `--` and the name: spellings separated by
+  /// commas, e.g. `--image-dir`; one without dashes is positional. A bool that has one is a switch:
+  /// it takes no value and turns the default round.
+  std::string flag{};
+  std::string placeholder{};  ///< what the help calls the value, e.g. `DIR`; empty for its type
 };
 
 /// One row of the help and of the documentation.
@@ -66,11 +79,12 @@ struct FieldInfo {
   std::string range;  ///< e.g. `0 to 1`, `>= 1`, `l1 | l2`; empty if anything goes
   std::string unit;
   std::string help;
+  std::string automatic{};  ///< as in Field
   friend bool operator==(const FieldInfo&, const FieldInfo&) = default;
 };
 
-// Where a field lives: a scalar, a list that may be resized, a list of fixed length, or an
-// enumeration.
+// Where a field lives: a scalar, a list that may be resized, a list of fixed length, an optional
+// pair, or an enumeration.
 
 /// An enumeration, or a list of its values, by their numbers; its names are the field's choices.
 struct EnumTarget {
@@ -80,8 +94,10 @@ struct EnumTarget {
   void (*set)(void* values, const std::vector<std::size_t>& numbers);
 };
 template <class... E>
-using FieldTargetWith = std::variant<E*..., std::vector<E>*..., std::span<E>..., EnumTarget>;
-using FieldTarget = FieldTargetWith<bool, int, Index, std::uint64_t, float, double, std::string>;
+using FieldTargetWith =
+    std::variant<E*..., std::vector<E>*..., std::span<E>..., OptionalPair*, EnumTarget>;
+using FieldTarget = FieldTargetWith<bool, int, Index, std::uint64_t, float, double, std::string,
+                                    std::filesystem::path>;
 
 /// One field of a live struct; valid as long as the struct is.
 struct FieldRef {
@@ -92,7 +108,8 @@ struct FieldRef {
   FieldTarget target;
 
   Kind kind() const;     ///< of the field, or of its elements
-  bool is_list() const;  ///< std::vector or std::array
+  bool is_list() const;  ///< std::vector, std::array or OptionalPair
+  bool is_path() const;  ///< std::filesystem::path or a list of it
 };
 
 namespace detail {
@@ -163,7 +180,7 @@ struct FieldCollector {
   }
 };
 
-std::vector<FieldInfo> describe_refs(const std::vector<FieldRef>& fields);
+FieldInfo describe_ref(const FieldRef& field);
 void set_ref(const std::vector<FieldRef>& fields, const std::string& name, const std::string& text,
              const std::string& where);
 void check_refs(const std::vector<FieldRef>& fields, const std::string& where);
@@ -197,7 +214,9 @@ std::vector<FieldRef> collect_fields(S& s) {
 template <HasFields S>
 std::vector<FieldInfo> describe(const S& s = S()) {
   S copy = s;
-  return detail::describe_refs(collect_fields(copy));
+  std::vector<FieldInfo> rows;
+  for (const FieldRef& field : collect_fields(copy)) rows.push_back(detail::describe_ref(field));
+  return rows;
 }
 
 /// Sets one field from text, as a command line gives it. Lists are separated by commas.

@@ -100,6 +100,8 @@ json element_json(const E& value, const std::string& name) {
     double d = 0;
     std::from_chars(buffer, end, d);
     return d;
+  } else if constexpr (std::is_same_v<E, std::filesystem::path>) {
+    return value.string();
   } else {
     return value;
   }
@@ -124,6 +126,7 @@ struct ToJson {
   json operator()(std::vector<E>* values) const {
     return list(*values);
   }
+  json operator()(OptionalPair* pair) const { return *pair ? list(**pair) : json(); }
   json operator()(const EnumTarget& target) const {
     json out = json::array();
     for (const std::size_t number : target.get(target.values)) out.push_back(choices[number]);
@@ -174,11 +177,13 @@ json load_json_file(const std::filesystem::path& path) {
 json detail::refs_to_json(const std::vector<FieldRef>& fields) {
   json root = json::object();
   for (const FieldRef& f : fields) {
+    json value = std::visit(ToJson{f.name, f.meta.choices}, f.target);
+    if (value.is_null()) continue;  // an optional pair without a value
     json* at = &root;
     std::size_t begin = 0;
     for (std::size_t dot; (dot = f.name.find('.', begin)) != std::string::npos; begin = dot + 1)
       at = &(*at)[f.name.substr(begin, dot - begin)];
-    (*at)[f.name.substr(begin)] = std::visit(ToJson{f.name, f.meta.choices}, f.target);
+    (*at)[f.name.substr(begin)] = std::move(value);
   }
   return root;
 }

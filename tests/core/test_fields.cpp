@@ -4,6 +4,7 @@
 #include "satsurf/core/fields_json.h"
 
 #include <cmath>
+#include <filesystem>
 #include <limits>
 
 #include "tests/temp_folder.h"
@@ -43,6 +44,21 @@ struct Calendar {
   static void fields(Self& s, V&& v) {
     v("season", s.season, Field{.help = "of the year"});
     v("seen", s.seen);
+  }
+};
+
+struct Request {
+  std::vector<std::filesystem::path> images;
+  std::filesystem::path weights;
+  OptionalPair range;
+  double voxel = 0;
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("images", s.images);
+    v("weights", s.weights);
+    v("range", s.range, Field{.max = 9000});
+    v("voxel", s.voxel,
+      Field{.help = "detail", .unit = "m", .min = 0.01, .max = 1000, .automatic = "two pixels"});
   }
 };
 
@@ -330,4 +346,51 @@ TEST_CASE("an enumeration is spelled by its names in texts, JSON, help and error
   CHECK(enum_from<Season>("winter", "flag") == Season::winter);
   CHECK(error_of<ConfigError>([] { enum_from<Season>("May", "flag"); }) ==
         "flag: 'May', expected one of winter, spring, summer");
+}
+
+TEST_CASE("files are texts, pairs may be missing, and 0 may stand for what the program finds") {
+  Request r;
+  CHECK(to_json(r).dump() == R"({"images":[],"voxel":0.0,"weights":""})");
+  set_field(r, "weights", "a, b");  // one name
+  CHECK(r.weights == "a, b");
+  set_field(r, "images", "a.tif,b.tif");
+  CHECK(r.images == std::vector<std::filesystem::path>{"a.tif", "b.tif"});
+  set_field(r, "range", "-5,20.5");
+  CHECK(r.range == OptionalPair({-5, 20.5}));
+  set_field(r, "voxel", "2");
+  const json j = to_json(r);
+  CHECK(j.dump() ==
+        R"({"images":["a.tif","b.tif"],"range":[-5.0,20.5],"voxel":2.0,"weights":"a, b"})");
+  Request back;
+  from_json(j, back, "file");
+  CHECK(to_json(back) == j);
+  set_field(r, "range", "");
+  CHECK(!r.range);
+  from_json(json{{"voxel", 0}}, r, "file");
+  CHECK(r.voxel == 0);
+  CHECK_NOTHROW(check_fields(r, "reconstruct"));
+
+  const auto refused = [](const json& value) {
+    Request s;
+    return error_of<ConfigError>([&] { from_json(value, s, "file"); });
+  };
+  CHECK(refused({{"range", {1}}}) == "file: range is [1], expected 2 x numbers of at most 9000");
+  CHECK(refused({{"range", {1, 9001}}}) ==
+        "file: range is [1,9001], expected 2 x numbers of at most 9000");
+  CHECK(refused({{"voxel", 0.001}}) == "file: voxel is 0.001, expected a number from 0.01 to 1000");
+  CHECK(refused({{"weights", 3}}) == "file: weights is 3, expected a text");
+
+  const auto rows = describe<Request>();
+  CHECK(rows[0].type == "files");
+  CHECK(rows[1].type == "file");
+  CHECK(rows[2].type == "2 numbers");
+  CHECK(rows[2].value.empty());
+  CHECK(rows[3].automatic == "two pixels");
+  CHECK(markdown_table({rows[3]}).ends_with(
+      "| `voxel` | number | two pixels | 0.01 to 1000 | m | detail |\n"));
+  const auto fields = collect_fields(r);
+  CHECK(fields[0].is_path());
+  CHECK(fields[1].is_path());
+  CHECK(!fields[2].is_path());
+  CHECK(fields[2].is_list());
 }
