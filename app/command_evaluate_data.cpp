@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
 #include "satsurf/app/confidence_figure.h"
+#include "satsurf/app/evaluate_options.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/progress.h"
 #include "satsurf/app/record.h"
 #include "satsurf/app/scores_json.h"
 #include "satsurf/core/atomic_file.h"
+#include "satsurf/core/fields_json.h"
 #include "satsurf/evaluate/evaluate.h"
 #include "satsurf/evaluate/table.h"
+#include "satsurf/nn/shipped_weights.h"
 #include "satsurf/nn/weights_file.h"
 
 #include <cmath>
@@ -17,6 +20,7 @@
 #include <set>
 #include <utility>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace satsurf::app {
@@ -26,12 +30,8 @@ namespace fs = std::filesystem;
 
 /// A number that fills `width` characters, or a dash for one that does not exist.
 std::string cell(int width, int decimals, double v, const char* unit = "") {
-  char text[48];
-  if (std::isfinite(v))
-    std::snprintf(text, sizeof text, " %*.*f%s", width, decimals, v, unit);
-  else
-    std::snprintf(text, sizeof text, " %*s%s", width, "-", unit[0] != '\0' ? " " : "");
-  return text;
+  if (std::isfinite(v)) return fmt::format(" {:{}.{}f}{}", v, width, decimals, unit);
+  return fmt::format(" {:>{}}{}", "-", width, unit[0] != '\0' ? " " : "");
 }
 
 std::string heights_cells(double mae, double rmse, double pag1, double pag2_5, double pag7_5,
@@ -127,22 +127,26 @@ void print_confidence(const char* title, const evaluate::ConfidenceErrors& error
 
 }  // namespace
 
-void run_evaluate_data(const EvaluateDataOptions& options) {
-  const fs::path weights = find_weights(options.weights);
+void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput& output) {
+  const fs::path weights =
+      options.weights.empty()
+          ? nn::shipped_weights(nn::ShippedNetwork::surface, "give --weights FILE")
+          : options.weights;
   std::vector<fs::path> inputs{weights, options.data};
   if (!options.lpips_weights.empty()) inputs.push_back(options.lpips_weights);
-  check_output_file("--json", options.json, options.overwrite, inputs);
-  check_output_file("--csv", options.csv, options.overwrite, inputs);
-  check_output_file("--confidence-csv", options.confidence_csv, options.overwrite, inputs);
-  check_output_file("--confidence-figure", options.confidence_figure, options.overwrite, inputs);
-  check_distinct({options.csv, options.json, options.confidence_csv, options.confidence_figure});
+  check_output_file("--json", output.json, output.overwrite, inputs);
+  check_output_file("--csv", options.csv, output.overwrite, inputs);
+  check_output_file("--confidence-csv", options.confidence_csv, output.overwrite, inputs);
+  check_output_file("--confidence-figure", options.confidence_figure, output.overwrite, inputs);
+  check_distinct({options.csv, output.json, options.confidence_csv, options.confidence_figure});
   const nn::Model model = nn::load_model(weights);
   std::optional<nn::Lpips> lpips;
   if (!options.lpips_weights.empty()) lpips.emplace(nn::Lpips::load(options.lpips_weights));
   Progress progress;
   evaluate::EvaluateOptions how;
   how.views = options.views;
-  how.registration = evaluate::registration_from(options.registration);
+  how.registration = options.registration;
+  how.window = options.window;
   how.mask_water = options.mask_water;
   how.meshes = options.meshes;
   how.lpips = lpips ? &*lpips : nullptr;
@@ -150,15 +154,9 @@ void run_evaluate_data(const EvaluateDataOptions& options) {
     if (interrupted()) throw Interrupted{};
     progress.update(stage, fraction);
   };
-  nlohmann::json config{{"data", options.data},
-                        {"weights", weights},
-                        {"lpips_weights", options.lpips_weights},
-                        {"views", options.views},
-                        {"window", how.window},
-                        {"register", options.registration},
-                        {"mask_water", options.mask_water},
-                        {"meshes", options.meshes}};
-  RunRecord record("evaluate", config, 0);
+  EvaluateDataConfig config = options;
+  config.weights = weights;
+  RunRecord record("evaluate", to_json(config), 0);
   const evaluate::DataScores scores = evaluate::evaluate_data(model, options.data, how);
   const nlohmann::ordered_json table = scores_json(scores);
   const std::vector<evaluate::NamedConfidence> confidence{
@@ -168,7 +166,7 @@ void run_evaluate_data(const EvaluateDataOptions& options) {
   // before any file is written: a full disk must not cost the result
   print_scenes(scores.scenes);
   Means mean(table);
-  print_mean(mean, options.registration);
+  print_mean(mean, enum_name(options.registration));
   print_meshes(mean);
   mean.print_fewer();
   if (lpips)
@@ -179,10 +177,10 @@ void run_evaluate_data(const EvaluateDataOptions& options) {
     print_confidence(c.title.c_str(), *c.errors);
   std::fflush(stdout);
 
-  if (!options.json.empty()) {
+  if (!output.json.empty()) {
     for (const fs::path& input : inputs) record.add_input(input);
     record.results() = table;
-    record.save(options.json);
+    record.save(output.json);
   }
   if (!options.csv.empty()) atomic_write(options.csv, evaluate::scores_csv(scores.scenes));
   if (!options.confidence_csv.empty())

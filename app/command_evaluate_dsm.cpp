@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
+#include "satsurf/app/evaluate_options.h"
 #include "satsurf/app/log.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/preview.h"
 #include "satsurf/app/record.h"
 #include "satsurf/app/scores_json.h"
 #include "satsurf/core/error.h"
+#include "satsurf/core/fields_json.h"
 #include "satsurf/evaluate/evaluate.h"
 #include "satsurf/rpc/read.h"
 
@@ -14,6 +15,7 @@
 #include <string>
 #include <vector>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace satsurf::app {
@@ -37,16 +39,15 @@ void warn_of_datum(const evaluate::HeightScores& s) {
   // geoid heights are up to 107 m, biases of a reconstruction a few
   constexpr double kSuspicious = 8;
   if (std::abs(s.median) <= kSuspicious || s.nmad >= std::abs(s.median) / 3) return;
-  char text[128];
-  std::snprintf(text, sizeof text,
-                "the heights differ by %.1f m nearly everywhere; is one of them above the geoid?",
-                s.median);
-  log_line(LogLevel::warning, text);
+  log_line(LogLevel::warning,
+           fmt::format("the heights differ by {:.1f} m nearly everywhere; is one of them above the "
+                       "geoid?",
+                       s.median));
 }
 
 /// The true cells that count; empty for all.
 /// cameras  of the images of --seen-by
-Tensor mask_of(const EvaluateDsmOptions& options, const evaluate::DsmPair& pair,
+Tensor mask_of(const EvaluateDsmConfig& options, const evaluate::DsmPair& pair,
                const std::vector<evaluate::ImageCamera>& cameras) {
   Tensor mask;
   if (options.mask_water) {
@@ -69,8 +70,8 @@ Tensor mask_of(const EvaluateDsmOptions& options, const evaluate::DsmPair& pair,
 
 }  // namespace
 
-void run_evaluate_dsm(const EvaluateDsmOptions& options) {
-  const evaluate::Registration registration = evaluate::registration_from(options.registration);
+void run_evaluate_dsm(const EvaluateDsmCommand& options, const EvaluateOutput& output) {
+  const evaluate::Registration registration = options.registration;
   std::vector<fs::path> inputs{options.dsm, options.truth};
   if (!options.classes.empty()) inputs.push_back(options.classes);
   std::vector<evaluate::ImageCamera> cameras;
@@ -79,9 +80,9 @@ void run_evaluate_dsm(const EvaluateDsmOptions& options) {
     cameras.push_back({*info.rpc, info.width, info.height});
     inputs.insert(inputs.end(), info.files.begin(), info.files.end());
   }
-  check_output_file("--error-map", options.picture, options.overwrite, inputs);
-  check_output_file("--json", options.json, options.overwrite, inputs);
-  check_distinct({options.picture, options.json});
+  check_output_file("--error-map", options.error_map, output.overwrite, inputs);
+  check_output_file("--json", output.json, output.overwrite, inputs);
+  check_distinct({options.error_map, output.json});
   const evaluate::DsmPair pair = evaluate::load_dsm_pair(options.dsm, options.truth);
   const Tensor mask = mask_of(options, pair, cameras);
   evaluate::DsmComparison c;
@@ -90,19 +91,12 @@ void run_evaluate_dsm(const EvaluateDsmOptions& options) {
   } catch (const Error& e) {
     throw Error(options.dsm.string() + " and " + options.truth.string() + ": " + e.what());
   }
-  if (!options.picture.empty()) write_png(options.picture, error_picture(c.error));
-  if (!options.json.empty()) {
-    nlohmann::json config{{"dsm", options.dsm},
-                          {"truth", options.truth},
-                          {"classes", options.classes},
-                          {"seen_by", options.seen_by},
-                          {"image_dirs", options.image_dirs},
-                          {"register", options.registration},
-                          {"mask_water", options.mask_water}};
-    RunRecord record("evaluate", config, 0);
+  if (!options.error_map.empty()) write_png(options.error_map, error_picture(c.error));
+  if (!output.json.empty()) {
+    RunRecord record("evaluate", to_json<EvaluateDsmConfig>(options), 0);
     for (const fs::path& file : inputs) record.add_input(file);
     record.results() = scores_json(c);
-    record.save(options.json);
+    record.save(output.json);
   }
   std::printf("%td of %td true cells have a predicted height (completeness %.1f %%)\n",
               c.raw.compared, c.raw.truth, 100 * c.raw.completeness);

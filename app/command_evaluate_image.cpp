@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
+#include "satsurf/app/evaluate_options.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/picture.h"
 #include "satsurf/app/record.h"
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/error.h"
+#include "satsurf/core/fields_json.h"
 #include "satsurf/evaluate/image_metrics.h"
 #include "satsurf/nn/lpips.h"
 
@@ -25,7 +26,7 @@ std::string size_of(const Tensor& picture) {
 }
 
 /// [H W], 1 where a pixel counts: where any channel of the mask is above 0. Empty for all.
-Tensor read_mask(const EvaluateImageOptions& options, const Tensor& image) {
+Tensor read_mask(const EvaluateImageConfig& options, const Tensor& image) {
   if (options.mask.empty()) return {};
   const Tensor picture = read_picture(options.mask);
   if (picture.dim(1) != image.dim(1) || picture.dim(2) != image.dim(2))
@@ -59,17 +60,12 @@ void print_none(const char* name, const char* instead, const char* why) {
 
 }  // namespace
 
-void run_evaluate_image(const EvaluateImageOptions& options) {
+void run_evaluate_image(const EvaluateImageConfig& options, const EvaluateOutput& output) {
   std::vector<fs::path> inputs{options.image, options.reference};
   if (!options.mask.empty()) inputs.push_back(options.mask);
   if (!options.lpips_weights.empty()) inputs.push_back(options.lpips_weights);
-  check_output_file("--json", options.json, options.overwrite, inputs);
-  RunRecord record("evaluate",
-                   {{"image", options.image},
-                    {"reference", options.reference},
-                    {"mask", options.mask},
-                    {"lpips_weights", options.lpips_weights}},
-                   0);
+  check_output_file("--json", output.json, output.overwrite, inputs);
+  RunRecord record("evaluate", to_json(options), 0);
 
   const Tensor image = read_picture(options.image), reference = read_picture(options.reference);
   if (image.shape() != reference.shape())
@@ -91,7 +87,7 @@ void run_evaluate_image(const EvaluateImageOptions& options) {
   const evaluate::ImageScores s =
       evaluate::score_images(image, reference, mask, lpips ? &*lpips : nullptr);
 
-  if (!options.json.empty()) {
+  if (!output.json.empty()) {
     for (const fs::path& file : inputs) record.add_input(file);
     nlohmann::ordered_json j{{"psnr", json_number(s.psnr)},
                              {"psnr_infinite", std::isinf(s.psnr)},
@@ -104,7 +100,7 @@ void run_evaluate_image(const EvaluateImageOptions& options) {
     nlohmann::ordered_json run = record.json();
     run.erase("results");  // they are at the top
     j.update(run);
-    atomic_write(options.json,
+    atomic_write(output.json,
                  j.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + '\n');
   }
 

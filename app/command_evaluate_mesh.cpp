@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
+#include "satsurf/app/evaluate_options.h"
 #include "satsurf/app/output_folder.h"
+#include "satsurf/app/products.h"
 #include "satsurf/app/record.h"
 #include "satsurf/app/scores_json.h"
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/error.h"
+#include "satsurf/core/fields_json.h"
 #include "satsurf/evaluate/evaluate.h"
 #include "satsurf/mesh/compare.h"
 #include "satsurf/mesh/ply.h"
@@ -49,34 +51,35 @@ void print_scores(const char* title, const mesh::SurfaceScores& s) {
 
 }  // namespace
 
-void run_evaluate_mesh(const EvaluateMeshOptions& options) {
-  const std::vector<fs::path> inputs{options.mesh, options.reference};
-  check_output_file("--json", options.json, options.overwrite, inputs);
-  RunRecord record("evaluate", {{"mesh", options.mesh}, {"reference_mesh", options.reference}}, 0);
+void run_evaluate_mesh(const EvaluateMeshConfig& options, const EvaluateOutput& output) {
+  const std::vector<fs::path> inputs{options.mesh, options.reference_mesh};
+  check_output_file("--json", output.json, output.overwrite, inputs);
+  RunRecord record("evaluate", to_json(options), 0);
   const mesh::PlyContent content = mesh::read_ply(options.mesh);
-  mesh::PlyContent reference = mesh::read_ply(options.reference);
+  mesh::PlyContent reference = mesh::read_ply(options.reference_mesh);
   const auto frame = frame_of(content, options.mesh),
-             other = frame_of(reference, options.reference);
+             other = frame_of(reference, options.reference_mesh);
   const auto system = [](const std::optional<rpc::LocalFrame>& f) {
     return f ? "EPSG:" + std::to_string(f->zone.epsg()) : std::string("no system");
   };
   if (system(frame) != system(other))
-    throw IoError(options.mesh.string() + " and " + options.reference.string() + ": " +
+    throw IoError(options.mesh.string() + " and " + options.reference_mesh.string() + ": " +
                   system(frame) + " and " + system(other) + ", expected one system");
   if (frame) shift(reference.mesh, *other, *frame);
   mesh::MeshComparison c;
   try {
     c = mesh::compare_meshes(content.mesh, reference.mesh);
   } catch (const Error& e) {
-    throw Error(options.mesh.string() + " and " + options.reference.string() + ": " + e.what());
+    throw Error(options.mesh.string() + " and " + options.reference_mesh.string() + ": " +
+                e.what());
   }
-  if (!options.json.empty()) {
+  if (!output.json.empty()) {
     for (const fs::path& file : inputs) record.add_input(file);
     nlohmann::ordered_json j = scores_json(c);
     nlohmann::ordered_json run = record.json();
     run.erase("results");  // they are at the top
     j.update(run);
-    atomic_write(options.json,
+    atomic_write(output.json,
                  j.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + '\n');
   }
   std::printf("%zu and %zu faces, %td and %td samples\n", content.mesh.faces.size(),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
+#include "satsurf/app/program.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/safetensors.h"
 #include "satsurf/nn/weights_file.h"
@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstdio>
 #include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -16,6 +17,22 @@
 
 namespace satsurf::app {
 namespace {
+
+struct InfoOptions {
+  std::vector<std::filesystem::path> images, image_dirs;
+
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("images", s.images,
+      Field{.help = "rasters, Sat-NeRF JSON files or weights",
+            .flag = "images",
+            .placeholder = "IMG"});
+    v("image_dirs", s.image_dirs,
+      Field{.help = "where else to look for the images JSON files name",
+            .flag = "--image-dir",
+            .placeholder = "DIR"});
+  }
+};
 
 /// The height at which footprints and angles are told: the middle of the range, or the camera's
 /// own.
@@ -139,8 +156,6 @@ void print_pairs(const std::vector<rpc::RasterInfo>& all) {
     }
 }
 
-}  // namespace
-
 void run_info(const InfoOptions& options) {
   std::vector<rpc::RasterInfo> all;
   std::vector<Weights> weights;
@@ -157,6 +172,23 @@ void run_info(const InfoOptions& options) {
   }
   if (cameras.size() > 1) print_pairs(cameras);
   for (const Weights& w : weights) print_weights(w);
+}
+
+}  // namespace
+
+void add_info(Program& program) {
+  Command& command =
+      program.add("info",
+                  "size, camera, footprint and angles of images; overlap of pairs; origin of "
+                  "weights");
+  const auto options = std::make_shared<InfoOptions>();
+  Flags& flags = command.flags;
+  flags.add(collect_fields(*options));
+  flags.command().get_option("images")->required();
+  program.when_called(command, [&flags, options]() -> std::function<void()> {
+    flags.read(collect_fields(*options));
+    return [options] { run_info(*options); };
+  });
 }
 
 }  // namespace satsurf::app

@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/log.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/preview.h"
+#include "satsurf/app/products.h"
+#include "satsurf/app/program.h"
 #include "satsurf/app/progress.h"
+#include "satsurf/app/reconstruct_options.h"
 #include "satsurf/app/record.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/memory.h"
@@ -11,6 +14,7 @@
 #include "satsurf/core/var.h"
 #include "satsurf/mesh/ply.h"
 #include "satsurf/mesh/surface.h"
+#include "satsurf/nn/shipped_weights.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
@@ -24,11 +28,13 @@
 #include <cmath>
 #include <cstdio>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace satsurf::app {
@@ -43,36 +49,34 @@ double mean_of(const Tensor& t) {
   return sum / n;
 }
 
+/// The heights to search, if any were asked for.
+/// throws  ConfigError for a range that holds no surface
+std::optional<rpc::HeightRange> range_of(const ReconstructConfig& config) {
+  if (!config.height_range) return std::nullopt;
+  const rpc::HeightRange range{(*config.height_range)[0], (*config.height_range)[1]};
+  scene::check_height_range(range);
+  return range;
+}
+
 /// What was asked for, for the record.
-nlohmann::json config_json(const ReconstructCommand& options, const fs::path& weights) {
-  nlohmann::json config{{"images", options.images},
-                        {"image_dirs", options.image_dirs},
-                        {"weights", weights},
-                        {"resolution", options.resolution},
-                        {"mesh", options.mesh ? "tsdf" : "none"},
-                        {"voxel", options.voxel}};
-  if (options.height_range)
-    config["height_range"] = {options.height_range->low, options.height_range->high};
-  return config;
+nlohmann::json config_json(ReconstructConfig config, const fs::path& weights) {
+  config.weights = weights;
+  return to_json(config);
 }
 
 void note_range(const scene::RangeChoice& choice, Progress& progress) {
-  char text[256];
-  std::snprintf(text, sizeof text, "height range %.1f to %.1f m above the ellipsoid, %s",
-                choice.height_range.low, choice.height_range.high, choice.source.c_str());
-  progress.note(text);
+  progress.note(fmt::format("height range {:.1f} to {:.1f} m above the ellipsoid, {}",
+                            choice.height_range.low, choice.height_range.high, choice.source));
 }
 
 /// Warns of cameras that their quadratics do not follow well enough.
 void warn_of_fit(const reconstruct::Reconstruction& made, Progress& progress) {
   constexpr double kWorst = 0.1;  // px; more shows in the heights
   if (made.camera_fit_max_px <= kWorst) return;
-  char text[256];
-  std::snprintf(text, sizeof text,
-                "cameras were fitted to %.2f px only, expected %.1f; the images may be too "
-                "large or the height range too wide",
-                made.camera_fit_max_px, kWorst);
-  progress.note(text, LogLevel::warning);
+  progress.note(fmt::format("cameras were fitted to {:.2f} px only, expected {:.1f}; the images "
+                            "may be too large or the height range too wide",
+                            made.camera_fit_max_px, kWorst),
+                LogLevel::warning);
 }
 
 void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene& user) {
@@ -243,15 +247,17 @@ void print_summary(const reconstruct::Reconstruction& made, const scene::Scene& 
   std::printf("written to    %s\n", out.c_str());
 }
 
-}  // namespace
-
 void run_reconstruct(const ReconstructCommand& options) {
-  if (options.height_range) scene::check_height_range(*options.height_range);
+  const std::optional<rpc::HeightRange> height_range = range_of(options);
   const NoGrad no_grad;
-  const fs::path weights = find_weights(options.weights);
+  const fs::path weights =
+      options.weights.empty()
+          ? nn::shipped_weights(nn::ShippedNetwork::surface, "give --weights FILE")
+          : options.weights;
   std::vector<fs::path> apart{weights};
   apart.insert(apart.end(), options.images.begin(), options.images.end());
   apart.insert(apart.end(), options.image_dirs.begin(), options.image_dirs.end());
+  apart.push_back(options.config_file);
   std::optional<OutputFolder> staged;
   if (!options.dry_run)
     staged.emplace(OutputFolder::staged(options.out, options.overwrite, std::move(apart)));
@@ -264,7 +270,7 @@ void run_reconstruct(const ReconstructCommand& options) {
     if (interrupted()) throw Interrupted{};
   };
   const scene::UserScene user =
-      scene::scene_from_views(options.images, options.image_dirs, options.height_range, poll);
+      scene::scene_from_views(options.images, options.image_dirs, height_range, poll);
   poll();
   const scene::Scene& scene = user.scene;
   note_range(user.range, progress);
@@ -279,7 +285,8 @@ void run_reconstruct(const ReconstructCommand& options) {
   const auto start = std::chrono::steady_clock::now();
   reconstruct::ReconstructOptions how;
   how.resolution = options.resolution;
-  if (options.mesh) how.mesh = options.voxel;
+  const bool with_mesh = options.mesh == MeshKind::tsdf;
+  if (with_mesh) how.mesh = options.voxel;
   how.progress = [&](const std::string& stage, double fraction) {
     poll();
     progress.update(stage, fraction);
@@ -296,13 +303,13 @@ void run_reconstruct(const ReconstructCommand& options) {
   write_surface(folder, made, scene.frame);
   std::vector<mesh::HeightImage> seen;
   {
-    RenderedViews rendered = render_views(made, options.mesh, progress);
+    RenderedViews rendered = render_views(made, with_mesh, progress);
     write_pictures(folder, made, scene, rendered, progress);
     seen = std::move(rendered.heights);
   }
   poll();
   summary.heights = heights_found(made, scene.frame.h0, options.images);
-  if (options.mesh) {
+  if (with_mesh) {
     progress.update("mesh", 0);
     summary.mesh = write_mesh(folder / "mesh.ply", seen, made, scene.frame);
     progress.update("mesh", 1);
@@ -312,6 +319,31 @@ void run_reconstruct(const ReconstructCommand& options) {
   record.save(folder / "run.json");
   folder.commit();
   print_summary(made, scene, summary, options.out);
+}
+
+}  // namespace
+
+void add_reconstruct(Program& program) {
+  Command& command = program.add("reconstruct", "the surface two or more images show");
+  command.files = written_by_reconstruct();
+  command.results = told_by_reconstruct();
+  const auto options = std::make_shared<ReconstructCommand>();
+  ReconstructConfig& config = *options;
+  Flags& flags = command.flags;
+  flags.add(collect_fields(*options));
+  flags.add_config();
+  flags.add(collect_fields(config), "Configuration");
+  program.when_called(command, [&flags, options]() -> std::function<void()> {
+    ReconstructConfig& asked = *options;
+    flags.read(collect_fields(*options));
+    options->config_file = flags.config_file();
+    read_config(flags, asked);
+    if (flags.print_config())
+      return [options] { print_config(static_cast<const ReconstructConfig&>(*options)); };
+    if (options->images.empty()) throw CLI::RequiredError("images");
+    if (!options->dry_run) Flags::require("--out", options->out);
+    return [options] { run_reconstruct(*options); };
+  });
 }
 
 }  // namespace satsurf::app

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/preview.h"
+#include "satsurf/app/products.h"
+#include "satsurf/app/program.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/var.h"
 #include "satsurf/nn/model.h"
@@ -13,6 +14,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
@@ -22,6 +24,44 @@ namespace satsurf::app {
 namespace {
 
 namespace fs = std::filesystem;
+
+/// What to render.
+struct RenderConfig {
+  fs::path surfels, image;
+  bool nadir = false;  ///< from straight above, instead of into `image`
+  std::vector<fs::path> image_dirs;
+  double resolution = 0.5;  ///< of the view from above, m
+
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("surfels", s.surfels,
+      Field{.help = "surfels.ply of a reconstruction (required unless --print-config)"});
+    v("image", s.image,
+      Field{.help = "take the camera and the size of this image", .placeholder = "IMG"});
+    v("nadir", s.nadir, Field{.help = "look straight down", .flag = "--nadir"});
+    v("image_dirs", s.image_dirs,
+      Field{.help = "where else to look for the image a JSON file names",
+            .flag = "--image-dir",
+            .placeholder = "DIR"});
+    v("resolution", s.resolution,
+      Field{.help = "cell of the view from above", .unit = "m", .min = 0.01, .max = 1000});
+  }
+};
+
+struct RenderCommand : RenderConfig {
+  fs::path out;
+  bool overwrite = false;
+
+  /// Of the options those that are no configuration.
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("out", s.out,
+      Field{.help = "colours as .png; as .tif the colours with the image's camera, or the heights "
+                    "from above (required unless --print-config)"});
+    v("overwrite", s.overwrite,
+      Field{.help = "replace the file if it exists", .flag = "--overwrite"});
+  }
+};
 
 /// Smallest and largest element of one column of [P 3].
 std::pair<double, double> column_range(const Tensor& means, Index column) {
@@ -40,8 +80,6 @@ void check_cells(const std::string& where, Index width, Index height, const char
     throw Error(where + std::to_string(width) + " x " + std::to_string(height) +
                 " pixels to render, expected fewer than " + std::to_string(kLargest) + hint);
 }
-
-}  // namespace
 
 void run_render(const RenderCommand& options) {
   const std::string extension = options.out.extension().string();
@@ -81,7 +119,7 @@ void run_render(const RenderCommand& options) {
     return rpc::write_rpc_geotiff(options.out, colour, rpc::PixelType::uint8, *image->rpc);
   }
 
-  const double step = options.resolution > 0 ? options.resolution : 0.5;
+  const double step = options.resolution;
   const auto [x_low, x_high] = column_range(means, 0);
   const auto [y_low, y_high] = column_range(means, 1);
   const auto W = static_cast<Index>(std::ceil((x_high - x_low) / step)) + 1;
@@ -94,6 +132,46 @@ void run_render(const RenderCommand& options) {
   if (png) return write_png(options.out, render.colour.value());
   write_field(options.out, splat::surface_heights(render), grid, frame, frame.h0,
               rpc::ellipsoidal_height("Surface heights"));
+}
+
+/// A flag takes the place of what the file says of where to look from.
+void read_render(const Flags& flags, RenderCommand& options) {
+  RenderConfig& config = options;
+  flags.read(collect_fields(options));
+  read_config(flags, config);
+  if (flags.given("--nadir")) config.image.clear();
+  if (flags.given("--image")) config.nadir = false;
+  if (config.nadir && !config.image.empty())
+    throw ConfigError(flags.config_file().string() + ": nadir is true and image is " +
+                      config.image.string() + ", expected one of them");
+  if (flags.print_config()) return;
+  Flags::require("--surfels", config.surfels);
+  if (config.image.empty() && !config.nadir) throw CLI::RequiredError("--image or --nadir");
+  Flags::require("--out", options.out);
+}
+
+}  // namespace
+
+void add_render(Program& program) {
+  Command& command =
+      program.add("render", "a reconstructed surface as a camera sees it, or from above");
+  command.files = {{"--out *.png", "colours"},
+                   {"--out *.tif",
+                    "with --image the colours, 8 bit, and the image's camera in the RPC tag; with "
+                    "--nadir the heights, m above the ellipsoid, Float32"}};
+  const auto options = std::make_shared<RenderCommand>();
+  RenderConfig& config = *options;
+  Flags& flags = command.flags;
+  flags.add(collect_fields(*options));
+  flags.add_config();
+  flags.add(collect_fields(config), "Configuration");
+  flags.command().get_option("--nadir")->excludes(flags.command().get_option("--image"));
+  program.when_called(command, [&flags, options]() -> std::function<void()> {
+    read_render(flags, *options);
+    if (flags.print_config())
+      return [options] { print_config(static_cast<const RenderConfig&>(*options)); };
+    return [options] { run_render(*options); };
+  });
 }
 
 }  // namespace satsurf::app

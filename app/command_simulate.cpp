@@ -1,16 +1,37 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/output_folder.h"
+#include "satsurf/app/program.h"
 #include "satsurf/app/progress.h"
 #include "satsurf/app/record.h"
-#include "satsurf/core/fields_json.h"
+#include "satsurf/scene/simulate/scene.h"
 
 #include <algorithm>
 #include <cstdio>
+#include <memory>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace satsurf::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct SimulateOptions {
+  scene::SimulateConfig config;
+  fs::path out, config_file;
+  bool overwrite = false;
+
+  /// Of the options those that are no configuration.
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("out", s.out,
+      Field{.help = "folder to make (required unless --print-config)", .placeholder = "DIR"});
+    v("overwrite", s.overwrite,
+      Field{.help = "replace what an earlier run left in that folder", .flag = "--overwrite"});
+  }
+};
 
 void run_simulate(const SimulateOptions& options) {
   scene::SimulateConfig config = options.config;
@@ -23,18 +44,49 @@ void run_simulate(const SimulateOptions& options) {
     if (interrupted()) throw Interrupted{};
     progress.update("simulate", static_cast<double>(i) / static_cast<double>(config.scenes));
     const scene::SimulatedScene scene = scene::simulate_scene(config, config.seed, i);
-    char name[32];
-    std::snprintf(name, sizeof name, "SIM_%03td", i + 1);
+    const std::string name = fmt::format("SIM_{:03}", i + 1);
     scene::write_scene(scene, folder.path(), name);
     double worst = 0;
     for (const scene::SimulatedView& v : scene.views) worst = std::max(worst, v.rpc_max_px);
-    record.results()[name] = {{"kind", scene.kind}, {"gsd", scene.gsd}, {"rpc_max_px", worst}};
+    record.results()[name] = {
+        {"kind", enum_name(scene.kind)}, {"gsd", scene.gsd}, {"rpc_max_px", worst}};
   }
   progress.update("simulate", 1);
   record.save(folder / "run.json");
   folder.commit();
   std::printf("%td scene%s of %td images written to %s\n", config.scenes,
               config.scenes == 1 ? "" : "s", config.views, options.out.c_str());
+}
+
+}  // namespace
+
+void add_simulate(Program& program) {
+  Command& command =
+      program.add("simulate", "make up scenes with images, cameras and true surfaces");
+  command.files = {
+      {"Track3-RGB/NAME_001_RGB.tif", "images, 8 bit, each with its camera in the RPC tag"},
+      {"Track3-Truth/NAME_DSM.tif", "the true surface, m above the ellipsoid"},
+      {"Track3-Truth/NAME_DSM.txt", "where it lies: east, north, cells a side, cell in m"},
+      {"Track3-Truth/NAME_CLS.tif", "its classes: 2 ground, 5 trees, 6 buildings, 9 water"},
+      {"Track3-Metadata/NAME.json", "sun, date, angles, height range and zone"},
+      {"run.json", "the record of the run"}};
+  command.results = {
+      {"NAME.kind", "what the scene looks like, see --kinds"},
+      {"NAME.gsd", "ground size of a pixel, m"},
+      {"NAME.rpc_max_px", "largest error of the RPC against the orbital camera, px"}};
+  const auto options = std::make_shared<SimulateOptions>();
+  Flags& flags = command.flags;
+  flags.add(collect_fields(*options));
+  flags.add_config();
+  flags.add(collect_fields(options->config), "Configuration");
+  program.when_called(command, [&flags, options]() -> std::function<void()> {
+    flags.read(collect_fields(*options));
+    options->config_file = flags.config_file();
+    read_config(flags, options->config);
+    if (flags.print_config()) return [options] { print_config(options->config); };
+    Flags::require("--out", options->out);
+    return [options] { run_simulate(*options); };
+  });
 }
 
 }  // namespace satsurf::app

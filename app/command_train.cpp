@@ -1,23 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/log.h"
 #include "satsurf/app/output_folder.h"
+#include "satsurf/app/program.h"
 #include "satsurf/app/progress.h"
 #include "satsurf/app/record.h"
 #include "satsurf/app/training_output.h"
 #include "satsurf/core/fields_json.h"
+#include "satsurf/nn/config.h"
 #include "satsurf/nn/shipped_weights.h"
+#include "satsurf/scene/dataset.h"
+#include "satsurf/train/mono_trainer.h"
+#include "satsurf/train/trainer.h"
 
 #include <cmath>
 #include <cstdio>
 #include <deque>
 #include <filesystem>
+#include <memory>
 #include <numeric>
 #include <string>
 #include <utility>
 #include <variant>
 #include <vector>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace satsurf::app {
@@ -25,12 +32,42 @@ namespace {
 
 namespace fs = std::filesystem;
 
+struct TrainOptions {
+  std::variant<train::TrainConfig, train::MonoTrainConfig> config;
+  fs::path data, out, config_file;
+  std::uint64_t seed = 0;
+  bool overwrite = false, resume = false;
+
+  /// Of the options those that are no configuration.
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("data", s.data,
+      Field{.help = "data set: what simulate writes, DFC2019 Track 3, EOGS or Sat-NeRF (required "
+                    "unless --print-config)",
+            .placeholder = "DIR"});
+    v("out", s.out,
+      Field{
+          .help = "folder for checkpoint, weights and train.jsonl (required unless --print-config)",
+          .placeholder = "DIR"});
+    v("seed", s.seed, Field{.help = "of the initial weights and the samples"});
+    v("resume", s.resume,
+      Field{.help = "go on from the checkpoint in --out, with the same configuration; --steps "
+                    "included, for the learning rate is planned over all of them",
+            .flag = "--resume"});
+    v("overwrite", s.overwrite,
+      Field{.help = "replace what an earlier run left in that folder", .flag = "--overwrite"});
+  }
+};
+
 /// One term of the objective, on average over the last hundred steps that know it.
 class RecentTerm {
  public:
-  /// format  of the average, for people
-  RecentTerm(std::string term, std::string format)
-      : term_(std::move(term)), format_(std::move(format)) {}
+  /// before, decimals, after  how the average is shown to people
+  RecentTerm(std::string term, std::string before, int decimals, std::string after)
+      : term_(std::move(term)),
+        before_(std::move(before)),
+        after_(std::move(after)),
+        decimals_(decimals) {}
 
   void add(const train::StepReport& report) {
     const double value = report.term(term_);
@@ -48,13 +85,12 @@ class RecentTerm {
            static_cast<double>(values_.size());
   }
   std::string text() const {
-    char text[64];
-    std::snprintf(text, sizeof text, format_.c_str(), mean());
-    return text;
+    return fmt::format("{} {:.{}f}{}", before_, mean(), decimals_, after_);
   }
 
  private:
-  std::string term_, format_;
+  std::string term_, before_, after_;
+  int decimals_;
   std::deque<double> values_;
 };
 
@@ -72,8 +108,6 @@ std::vector<fs::path> prepare(train::TrainConfig& config, bool resume) {
 std::vector<fs::path> prepare(train::MonoTrainConfig& config, bool) {
   return config.init.empty() ? std::vector<fs::path>() : std::vector<fs::path>{config.init};
 }
-
-}  // namespace
 
 void run_train(const TrainOptions& options) {
   auto config = options.config;
@@ -95,18 +129,18 @@ void run_train(const TrainOptions& options) {
   for (const fs::path& file : weights) record.add_input(file);
   if (!options.resume)
     record.save(folder / "run.json");  // marks the folder as a run from the start
-  RecentTerm watched = settings.task == "mono" ? RecentTerm("correlation", "correlation %.3f")
-                                               : RecentTerm("height_mae", "height error %.2f m");
+  RecentTerm watched = settings.task == train::Task::mono
+                           ? RecentTerm("correlation", "correlation", 3, "")
+                           : RecentTerm("height_mae", "height error", 2, " m");
   train::TrainingCallbacks callbacks;
   callbacks.step = [&](const train::StepReport& r) {
     if (interrupted() && r.step == 1) throw Interrupted{};  // before anything is worth keeping
     folder.add(r);
     watched.add(r);
     last = r;
-    char text[160];
-    std::snprintf(text, sizeof text, "step %td/%td  loss %.4f  %s  %.2f s/step", r.step, r.steps,
-                  r.loss, watched.text().c_str(), r.seconds);
-    progress.update("train", static_cast<double>(r.step) / static_cast<double>(r.steps), text);
+    progress.update("train", static_cast<double>(r.step) / static_cast<double>(r.steps),
+                    fmt::format("step {}/{}  loss {:.4f}  {}  {:.2f} s/step", r.step, r.steps,
+                                r.loss, watched.text(), r.seconds));
     return !interrupted();
   };
   callbacks.save = [&](const TensorFile& checkpoint, const TensorFile& network) {
@@ -133,6 +167,84 @@ void run_train(const TrainOptions& options) {
               (options.out / "weights.safetensors").c_str());
   if (watched.count() > 0)
     std::printf("%s, mean of the last %td steps\n", watched.text().c_str(), watched.count());
+}
+
+void apply_preset(train::TrainConfig& config) {
+  config.model = nn::model_preset(config.preset);
+  static_cast<train::LossConfig&>(config) = train::loss_preset(config.preset);
+}
+
+/// As `read_config`; the fields of network and losses start from the preset.
+void read_surface(const Flags& flags, train::TrainConfig& config) {
+  const nlohmann::json file = flags.config();
+  const std::string where = flags.config_file().string();
+  if (file.is_object() && file.contains("preset")) {
+    from_json({{"preset", file["preset"]}}, config, where);
+    apply_preset(config);
+  }
+  from_json(file, config, where);
+  flags.read(collect_fields(config), [&](const std::string& name) {
+    if (name == "preset") apply_preset(config);
+  });
+}
+
+/// The task that flags or else the configuration file name.
+train::Task task_of(const Flags& flags) {
+  train::TrainingSettings settings;
+  const nlohmann::json file = flags.config();
+  if (file.is_object() && file.contains("task"))
+    from_json({{"task", file["task"]}}, settings, flags.config_file().string());
+  flags.read({collect_fields(settings).front()});
+  return settings.task;
+}
+
+}  // namespace
+
+void add_train(Program& program) {
+  Command& command = program.add("train", "train a network on scenes with true surfaces");
+  command.files = {{"weights.safetensors", "the network, its configuration and its origin"},
+                   {"checkpoint.safetensors", "all that --resume goes on from"},
+                   {"train.jsonl",
+                    "a line per step: step, loss, its terms, lr (learning rate), grad_norm (before "
+                    "clipping), seconds"},
+                   {"run.json", "the record of the run"}};
+  command.results = {
+      {"step", "the last one done"},
+      {"steps", "how many there are"},
+      {"height_mae_running", "error of the heights over the last hundred steps, m"},
+      {"correlation_running", "of --task mono instead: correlation of its heights with true ones"}};
+  const auto options = std::make_shared<TrainOptions>();
+  const auto surface = std::make_shared<train::TrainConfig>();
+  const auto mono = std::make_shared<train::MonoTrainConfig>();
+  apply_preset(*surface);
+  const std::vector<Mode> modes{{"--task surface", collect_fields(*surface)},
+                                {"--task mono", collect_fields(*mono)}};
+  Flags& flags = command.flags;
+  flags.add(collect_fields(*options));
+  flags.command().get_option("--overwrite")->excludes(flags.command().get_option("--resume"));
+  flags.add_config();
+  flags.add(modes[0].fields, "Configuration");
+  flags.add(modes[1].fields, "--task mono");
+  program.when_called(command, [&flags, options, surface, mono, modes]() -> std::function<void()> {
+    flags.read(collect_fields(*options));
+    options->config_file = flags.config_file();
+    if (task_of(flags) == train::Task::mono) {
+      refuse_others(flags, modes, modes[1]);
+      read_config(flags, *mono);
+      options->config = *mono;
+    } else {
+      refuse_others(flags, modes, modes[0]);
+      read_surface(flags, *surface);
+      options->config = *surface;
+    }
+    if (flags.print_config())
+      return [options] {
+        std::visit([](const auto& config) { print_config(config); }, options->config);
+      };
+    Flags::require("--data", options->data);
+    Flags::require("--out", options->out);
+    return [options] { run_train(*options); };
+  });
 }
 
 }  // namespace satsurf::app

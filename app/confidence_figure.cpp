@@ -4,7 +4,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
+
+#include <fmt/printf.h>
 
 namespace satsurf::app {
 namespace {
@@ -25,14 +26,6 @@ constexpr std::array<Share, 3> kShares{{{"7.5 m", "#c4dfc6", &evaluate::Confiden
                                         {"2.5 m", "#7fb885", &evaluate::ConfidenceBin::pag2_5},
                                         {"1 m", "#35783f", &evaluate::ConfidenceBin::pag1}}};
 
-/// printf to a string.
-template <class... Args>
-std::string formatted(const char* format, Args... args) {
-  char text[512];
-  std::snprintf(text, sizeof text, format, args...);
-  return text;
-}
-
 std::string escaped(const std::string& text) {
   std::string out;
   for (const char c : text)
@@ -44,20 +37,20 @@ std::string escaped(const std::string& text) {
 /// more    further attributes
 std::string text_at(double x, double y, const char* anchor, const std::string& text,
                     const std::string& more = {}) {
-  return formatted("<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\" ", x, y, anchor) + more + ">" +
-         escaped(text) + "</text>\n";
+  return fmt::sprintf("<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\" ", x, y, anchor) + more +
+         ">" + escaped(text) + "</text>\n";
 }
 
 std::string line(double x0, double y0, double x1, double y1, const char* colour, double width) {
-  return formatted(
+  return fmt::sprintf(
       "<line x1=\"%.1f\" y1=\"%.1f\" x2=\"%.1f\" y2=\"%.1f\" stroke=\"%s\" "
       "stroke-width=\"%.1f\"/>\n",
       x0, y0, x1, y1, colour, width);
 }
 
 std::string box(double x, double y, double width, double height, const char* colour) {
-  return formatted("<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\" fill=\"%s\"/>\n", x,
-                   y, width, height, colour);
+  return fmt::sprintf("<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\" fill=\"%s\"/>\n",
+                      x, y, width, height, colour);
 }
 
 /// A step of 1, 2 or 5 times a power of ten that cuts [0, high] into four to ten.
@@ -84,11 +77,11 @@ std::string axes(double x0, double y0, double height, double top, double step,
   for (int k = 0; k * step < top * (1 + 1e-9); ++k) {
     const double y = bottom - k * step / top * height;
     out += line(x0, y, x0 + kPanelWidth, y, kGrid, 1);
-    out += text_at(x0 - 7, y + 4, "end", formatted("%.6g", k * step));
+    out += text_at(x0 - 7, y + 4, "end", fmt::sprintf("%.6g", k * step));
   }
   const double x = x0 - 44, y = y0 + height / 2;
   return out +
-         text_at(x, y, "middle", title, formatted("transform=\"rotate(-90 %.1f %.1f)\"", x, y));
+         text_at(x, y, "middle", title, fmt::sprintf("transform=\"rotate(-90 %.1f %.1f)\"", x, y));
 }
 
 double slot_of(const std::vector<evaluate::ConfidenceBin>& bins) {
@@ -148,12 +141,12 @@ std::string labels(double x0, double bottom, const std::vector<evaluate::Confide
       out += text_at(middle, bottom + 30, "middle",
                      b.pixels == 0 ? std::string("–")
                      : share < 0.1 ? std::string("<0.1")
-                                   : formatted(share < 10 ? "%.1f" : "%.0f", share),
+                                   : fmt::sprintf(share < 10 ? "%.1f" : "%.0f", share),
                      "fill=\"#777777\"");
-      if (k == 0) out += text_at(x0, bottom + 15, "middle", formatted("%.1f", b.low));
-      out += text_at(x + slot, bottom + 15, "middle", formatted("%.1f", b.high));
+      if (k == 0) out += text_at(x0, bottom + 15, "middle", fmt::sprintf("%.1f", b.low));
+      out += text_at(x + slot, bottom + 15, "middle", fmt::sprintf("%.1f", b.high));
     } else {
-      out += text_at(middle, bottom + 15, "middle", formatted("%.2f", b.confidence));
+      out += text_at(middle, bottom + 15, "middle", fmt::sprintf("%.2f", b.confidence));
     }
   }
   const double centre = x0 + kPanelWidth / 2;
@@ -201,7 +194,7 @@ std::string legend(double x) {
 
 std::string confidence_svg(const std::vector<evaluate::NamedConfidence>& all) {
   const double height = kTop + kRow * static_cast<double>(all.size()) - 40;
-  std::string out = formatted(
+  std::string out = fmt::sprintf(
       "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"%.0f\" height=\"%.0f\" viewBox=\"0 0 %.0f "
       "%.0f\" font-family=\"Helvetica, Arial, 'DejaVu Sans', sans-serif\" font-size=\"12\" "
       "fill=\"%s\">\n",

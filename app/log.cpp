@@ -5,43 +5,70 @@
 
 #include <algorithm>
 #include <array>
-#include <cstdio>
 #include <memory>
+#include <string_view>
 
+#include <spdlog/logger.h>
+#include <spdlog/pattern_formatter.h>
 #include <spdlog/sinks/basic_file_sink.h>
-#include <spdlog/spdlog.h>
+#include <spdlog/sinks/stdout_sinks.h>
 
 namespace satsurf::app {
 namespace {
 
-constexpr std::array<const char*, 4> kNames{"error", "warning", "info", "debug"};
-constexpr std::array kSpdlogLevels{spdlog::level::err, spdlog::level::warn, spdlog::level::info,
-                                   spdlog::level::debug};
+using spdlog::level::level_enum;
 
-LogLevel stderr_level = LogLevel::error, file_level = LogLevel::info;
-std::shared_ptr<spdlog::logger> file_log;
+level_enum spdlog_level(LogLevel level) {
+  constexpr std::array kLevels{spdlog::level::err, spdlog::level::warn, spdlog::level::info,
+                               spdlog::level::debug};
+  return kLevels[static_cast<std::size_t>(level)];
+}
+
+/// What a line on stderr begins with.
+class Prefix : public spdlog::custom_flag_formatter {
+ public:
+  void format(const spdlog::details::log_msg& message, const std::tm&,
+              spdlog::memory_buf_t& out) override {
+    const std::string_view text = message.level == spdlog::level::err    ? "satsurf: "
+                                  : message.level == spdlog::level::warn ? "warning: "
+                                                                         : "";
+    out.append(text.data(), text.data() + text.size());
+  }
+  std::unique_ptr<custom_flag_formatter> clone() const override {
+    return std::make_unique<Prefix>();
+  }
+};
+
+spdlog::logger& terminal_log() {
+  static spdlog::logger log = [] {
+    auto formatter = std::make_unique<spdlog::pattern_formatter>();
+    formatter->add_flag<Prefix>('*').set_pattern("%*%v");
+    spdlog::logger made("terminal", std::make_shared<spdlog::sinks::stderr_sink_mt>());
+    made.set_formatter(std::move(formatter));
+    made.set_level(spdlog::level::err);
+    return made;
+  }();
+  return log;
+}
+
+std::unique_ptr<spdlog::logger> file_log;
 
 }  // namespace
 
-void open_log(const std::string& level, bool quiet, const std::filesystem::path& file) {
-  std::size_t i = 0;
-  while (i < kNames.size() && level != kNames[i]) ++i;
-  if (i == kNames.size())
-    throw ConfigError("--log-level: " + level + ", expected error, warning, info or debug");
-  file_level = static_cast<LogLevel>(i);
-  stderr_level = quiet ? std::min(file_level, LogLevel::warning) : file_level;
+void open_log(LogLevel level, bool quiet, const std::filesystem::path& file) {
+  terminal_log().set_level(spdlog_level(quiet ? std::min(level, LogLevel::warning) : level));
   if (file.empty()) return;
   try {
     // the sink would make the missing folders of a mistyped path
     if (file.has_parent_path() && !std::filesystem::is_directory(file.parent_path()))
       throw IoError(file.string() + ": no folder " + file.parent_path().string());
     auto sink = std::make_shared<spdlog::sinks::basic_file_sink_mt>(file.string());
-    file_log = std::make_shared<spdlog::logger>("satsurf", sink);
+    file_log = std::make_unique<spdlog::logger>("file", std::move(sink));
   } catch (const spdlog::spdlog_ex&) {
     throw IoError(file.string() + ": cannot be written");
   }
   file_log->set_pattern("%Y-%m-%dT%H:%M:%S.%e%z %-7l %v");
-  file_log->set_level(spdlog::level::debug);
+  file_log->set_level(spdlog_level(level));
   file_log->flush_on(spdlog::level::debug);  // a crash must not take the last lines along
 }
 
@@ -49,16 +76,11 @@ void log_line(LogLevel level, const std::string& text, bool on_stderr) {
   std::string line = text;
   for (char& c : line)
     if (c == '\n' || c == '\r') c = ' ';
-  if (on_stderr && stderr_shows(level)) {
-    const char* prefix = level == LogLevel::error     ? "satsurf: "
-                         : level == LogLevel::warning ? "warning: "
-                                                      : "";
-    std::fprintf(stderr, "%s%s\n", prefix, line.c_str());
-  }
-  if (file_log && level <= file_level)
-    file_log->log(kSpdlogLevels[static_cast<std::size_t>(level)], "{}", line);
+  const spdlog::string_view_t view(line);
+  if (on_stderr) terminal_log().log(spdlog_level(level), view);
+  if (file_log) file_log->log(spdlog_level(level), view);
 }
 
-bool stderr_shows(LogLevel level) { return level <= stderr_level; }
+bool stderr_shows(LogLevel level) { return terminal_log().should_log(spdlog_level(level)); }
 
 }  // namespace satsurf::app

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/fields.h"
+
+#include <array>
 #include <filesystem>
 #include <string>
 
@@ -16,8 +19,8 @@ enum class LogLevel {
 
 /// Sends messages up to `level` to stderr and, if `file` is given, with the time to the end of it.
 /// quiet   nothing but errors and warnings on stderr; the file still gets everything
-/// throws  ConfigError for an unknown level, IoError if the file cannot be written
-void open_log(const std::string& level, bool quiet, const std::filesystem::path& file);
+/// throws  IoError if the file cannot be written
+void open_log(LogLevel level, bool quiet, const std::filesystem::path& file);
 
 /// One message on a line of its own, whatever a library put into it. Errors go to stderr and no
 /// file until open_log was called.
@@ -28,3 +31,8 @@ void log_line(LogLevel level, const std::string& text, bool on_stderr = true);
 bool stderr_shows(LogLevel level);
 
 }  // namespace satsurf::app
+
+template <>
+struct satsurf::EnumNames<satsurf::app::LogLevel> {
+  static constexpr std::array names{"error", "warning", "info", "debug"};
+};

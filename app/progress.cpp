@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include <fmt/format.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
 
@@ -31,20 +32,15 @@ std::string progress_line(const std::string& stage, double fraction, const std::
   constexpr int kBar = 24;
   const double f = std::isfinite(fraction) ? std::clamp(fraction, 0.0, 1.0) : 0;
   const int full = static_cast<int>(f * kBar);
-  char percent[16];
-  std::snprintf(percent, sizeof percent, "%3.0f %%", std::floor(100 * f));
   std::string line = stage + " [" + std::string(static_cast<std::size_t>(full), '#') +
-                     std::string(static_cast<std::size_t>(kBar - full), '.') + "] " + percent;
+                     std::string(static_cast<std::size_t>(kBar - full), '.') +
+                     fmt::format("] {:3.0f} %", std::floor(100 * f));
   if (!detail.empty()) line += "  " + detail;
   if (f > 0 && f < 1 && seconds >= 1) {
     const long left = std::lround(seconds * (1 - f) / f);
-    char text[32];
-    if (left >= 3600)
-      std::snprintf(text, sizeof text, "  %ld:%02ld:%02ld left", left / 3600, left / 60 % 60,
-                    left % 60);
-    else
-      std::snprintf(text, sizeof text, "  %ld:%02ld left", left / 60, left % 60);
-    line += text;
+    line += left >= 3600
+                ? fmt::format("  {}:{:02}:{:02} left", left / 3600, left / 60 % 60, left % 60)
+                : fmt::format("  {}:{:02} left", left / 60, left % 60);
   }
   return line.substr(0, static_cast<std::size_t>(std::max(columns, 1)));
 }
@@ -58,9 +54,8 @@ void Progress::end_stage(Clock::time_point now) {
   if (drawn_) std::fputc('\n', stderr);
   drawn_ = false;
   if (stage_.empty()) return;
-  char text[64];
-  std::snprintf(text, sizeof text, ": %.2f s", seconds_between(stage_start_, now));
-  log_line(LogLevel::debug, stage_ + text);
+  log_line(LogLevel::debug,
+           fmt::format("{}: {:.2f} s", stage_, seconds_between(stage_start_, now)));
 }
 
 void Progress::update(const std::string& stage, double fraction, const std::string& detail) {

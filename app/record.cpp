@@ -110,21 +110,42 @@ nlohmann::ordered_json RunRecord::json() const {
   return j;
 }
 
+std::vector<std::pair<std::string, std::string>> record_keys() {
+  return {{"program", "satsurf"},
+          {"version", "of the program"},
+          {"git", "commit it was built from, -dirty with changes"},
+          {"command", "what ran"},
+          {"config", "the configuration in effect, defaults included; --config takes it"},
+          {"seed", "of what is random, 0 where nothing is"},
+          {"host", "name of the machine"},
+          {"isa", "instruction set: baseline, avx2 or avx512"},
+          {"threads", "most that were used"},
+          {"started", "time in UTC"},
+          {"wall_seconds", "how long it took"},
+          {"peak_memory_bytes", "largest resident size"},
+          {"peak_tensor_bytes", "largest size of all tensors together"},
+          {"inputs", "files that were read: path, bytes, sha256"},
+          {"results", "what came of it"}};
+}
+
 void RunRecord::save(const std::filesystem::path& path) const {
   // A path need not be UTF-8; a record with a replaced letter is better than none.
   atomic_write(path, json().dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + '\n');
 }
 
-nlohmann::json load_config(const std::filesystem::path& path) {
+nlohmann::json load_config(const std::filesystem::path& path, const std::string& command) {
   nlohmann::json j;
   try {
     j = load_json_file(path);
   } catch (const IoError& e) {  // what is wrong with a configuration is wrong usage
     throw ConfigError(e.what());
   }
-  if (j.is_object() && j.value("program", nlohmann::json()) == kProgram && j.contains("config"))
-    return j["config"];
-  return j;
+  if (!j.is_object() || j.value("program", nlohmann::json()) != kProgram || !j.contains("config"))
+    return j;
+  if (const nlohmann::json made_by = j.value("command", nlohmann::json()); made_by != command)
+    throw ConfigError(path.string() + ": the record of " + made_by.dump() + ", expected one of " +
+                      nlohmann::json(command).dump());
+  return j["config"];
 }
 
 bool holds_run(const std::filesystem::path& folder) {

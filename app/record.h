@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <nlohmann/json.hpp>
@@ -52,9 +53,13 @@ class RunRecord {
   std::chrono::steady_clock::time_point clock_;
 };
 
+/// The keys of `RunRecord::json` and what they hold, in words.
+std::vector<std::pair<std::string, std::string>> record_keys();
+
 /// The configuration in a JSON file: the file itself, or the `config` of a run record.
-/// throws  ConfigError, also where there is no such file
-nlohmann::json load_config(const std::filesystem::path& path);
+/// command  that wants it
+/// throws   ConfigError, also where there is no such file or where it is another command's record
+nlohmann::json load_config(const std::filesystem::path& path, const std::string& command);
 
 /// Whether a folder is what simulate, train or reconstruct left: it holds their run.json.
 bool holds_run(const std::filesystem::path& folder);

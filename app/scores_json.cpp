@@ -5,7 +5,9 @@
 #include "satsurf/evaluate/table.h"
 
 #include <cmath>
-#include <cstdio>
+#include <string>
+
+#include <fmt/format.h>
 
 namespace satsurf::app {
 namespace {
@@ -27,10 +29,11 @@ nlohmann::ordered_json bins_json(const std::vector<evaluate::ConfidenceBin>& bin
 
 nlohmann::ordered_json by_registration(const evaluate::SceneScores& s) {
   nlohmann::ordered_json out;
-  for (std::size_t k = 0; k < evaluate::kRegistrations.size(); ++k)
-    out[evaluate::kRegistrations[k]] = {{"shift_m", s.registered[k].shift},
-                                        {"scores", scores_json(s.registered[k].scores)},
-                                        {"holes_filled", scores_json(s.registered[k].filled)}};
+  const auto& names = EnumNames<evaluate::Registration>::names;
+  for (std::size_t k = 0; k < names.size(); ++k)
+    out[names[k]] = {{"shift_m", s.registered[k].shift},
+                     {"scores", scores_json(s.registered[k].scores)},
+                     {"holes_filled", scores_json(s.registered[k].filled)}};
   return out;
 }
 
@@ -63,8 +66,7 @@ nlohmann::ordered_json scores_json(const mesh::MeshComparison& c) {
                              {"mesh_samples", s.mesh_samples},
                              {"reference_samples", s.reference_samples}};
     for (const mesh::FScore& f : s.f) {
-      char key[16];
-      std::snprintf(key, sizeof key, "%g", f.threshold);
+      const std::string key = fmt::format("{:g}", f.threshold);
       j["f1"][key] = json_number(f.f1);
       j["precision"][key] = json_number(f.precision);
       j["recall"][key] = json_number(f.recall);

@@ -227,13 +227,6 @@ Tensor resample(const scene::HeightField& field, const scene::HeightField& grid)
   return out;
 }
 
-Registration registration_from(const std::string& text) {
-  if (text == "none") return Registration::none;
-  if (text == "z") return Registration::z;
-  if (text == "xyz") return Registration::xyz;
-  throw ConfigError("register: " + text + ", expected none, z or xyz");
-}
-
 DsmComparison compare_dsm(const scene::HeightField& prediction, const scene::HeightField& truth,
                           Registration registration, const Tensor& mask, bool must_meet) {
   Tensor expected = truth.z;

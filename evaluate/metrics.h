@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/fields.h"
 #include "satsurf/scene/raycast.h"
 
 #include <array>
-#include <string>
 
 namespace satsurf::evaluate {
 
@@ -49,9 +49,15 @@ Tensor resample(const scene::HeightField& field, const scene::HeightField& grid)
 /// What may be taken out of a prediction before it is scored: nothing, one height offset (the
 /// median of the errors), or also a horizontal shift.
 enum class Registration { none, z, xyz };
-/// From its name.
-/// throws  ConfigError naming the choices
-Registration registration_from(const std::string& text);
+
+}  // namespace satsurf::evaluate
+
+template <>
+struct satsurf::EnumNames<satsurf::evaluate::Registration> {
+  static constexpr std::array names{"none", "z", "xyz"};
+};
+
+namespace satsurf::evaluate {
 
 /// A DSM against the truth, on the truth's grid.
 struct DsmComparison {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/evaluate/table.h"
 
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <limits>
@@ -8,6 +9,8 @@
 
 namespace satsurf::evaluate {
 namespace {
+
+constexpr std::array kNames = EnumNames<Registration>::names;
 
 void add_heights(TableRow& row, const std::string& group, const HeightScores& s) {
   for (const auto& [name, value] : {std::pair<const char*, double>{"_mae", s.mae},
@@ -58,15 +61,15 @@ TableRow row_of(const SceneScores& s) {
   add_heights(row, "dsm", s.dsm.registered);
   add_heights(row, "mvs_source", s.mvs_source);
   add_heights(row, "render_target", s.render_target);
-  for (std::size_t k = 0; k < kRegistrations.size(); ++k) {
-    const std::string group = std::string("dsm_") + kRegistrations[k];
+  for (std::size_t k = 0; k < kNames.size(); ++k) {
+    const std::string group = std::string("dsm_") + kNames[k];
     add_heights(row, group, s.registered[k].scores);
     row.push_back({group + "_east", s.registered[k].shift[0]});
     row.push_back({group + "_north", s.registered[k].shift[1]});
     row.push_back({group + "_up", s.registered[k].shift[2]});
   }
-  for (std::size_t k = 0; k < kRegistrations.size(); ++k)
-    add_heights(row, std::string("dsm_filled_") + kRegistrations[k], s.registered[k].filled);
+  for (std::size_t k = 0; k < kNames.size(); ++k)
+    add_heights(row, std::string("dsm_filled_") + kNames[k], s.registered[k].filled);
   add_mesh(row, "mesh", s.mesh ? s.mesh->all : none_compared());
   add_mesh(row, "mesh_without_walls", s.mesh ? s.mesh->without_walls : none_compared());
   row.push_back({"mvs_source_rmse_per_view", s.mvs_source_rmse_per_view});
@@ -78,6 +81,76 @@ TableRow row_of(const SceneScores& s) {
   row.push_back({"render_target_covered", s.target_covered});
   row.push_back({"seconds", s.seconds});
   return row;
+}
+
+const std::vector<std::pair<std::string, std::string>>& table_groups() {
+  static const std::vector<std::pair<std::string, std::string>> groups{
+      {"dsm", "the reconstructed surface after what --register takes out"},
+      {"mvs_source", "the network's last heights in the source views, all pixels pooled"},
+      {"render_target",
+       "heights and colours rendered in the scene's next view; the colours of the pixels that the "
+       "surface covers"},
+      {"dsm_none", "the surface as it is"},
+      {"dsm_z", "the surface after a height offset is taken out"},
+      {"dsm_xyz", "the surface after a shift in all axes is taken out"},
+      {"dsm_filled_none",
+       "dsm_none, then each hole filled from the nearest known cell of each quadrant, weighed by 1 "
+       "/ distance²"},
+      {"dsm_filled_z", "dsm_z, filled likewise"},
+      {"dsm_filled_xyz", "dsm_xyz, filled likewise"},
+      {"mesh",
+       "a mesh of the heights that the surfels show in all views, against that of the truth; none "
+       "with --no-meshes"},
+      {"mesh_without_walls", "the same without the parts of either that are steep"}};
+  return groups;
+}
+
+std::vector<TableColumn> table_columns() {
+  struct Number {
+    const char *name, *unit, *meaning;
+  };
+  static constexpr std::array kNumbers{
+      Number{"mae", "m", "mean absolute error"},
+      Number{"rmse", "m", "root of the mean square error"},
+      Number{"median", "m", "median of the signed errors, prediction minus truth"},
+      Number{"nmad", "m", "1.4826 times the median deviation from that median"},
+      Number{"pag1", "share", "true cells with an error below 1 m; a hole is a failure"},
+      Number{"pag2.5", "share", "true cells with an error below 2.5 m"},
+      Number{"pag7.5", "share", "true cells with an error below 7.5 m"},
+      Number{"completeness", "share", "true cells that have a predicted height"},
+      Number{"pag1_compared", "share", "cells found with an error below 1 m"},
+      Number{"pag2.5_compared", "share", "cells found with an error below 2.5 m"},
+      Number{"pag7.5_compared", "share", "cells found with an error below 7.5 m"},
+      Number{"truth_cells", "cells", "cells or pixels with a true height that count"},
+      Number{"compared_cells", "cells", "those of them that have a predicted height"},
+      Number{"east", "m", "shift that was added to the prediction, eastwards"},
+      Number{"north", "m", "shift that was added, northwards"},
+      Number{"up", "m", "shift that was added, upwards"},
+      Number{"chamfer", "m", "mean of the two distances that follow"},
+      Number{"to_reference", "m", "mean distance of the mesh from the reference"},
+      Number{"reference_to_mesh", "m", "mean distance of the reference from the mesh"},
+      Number{"f1_0.5", "share", "F1 within 0.5 m: harmonic mean of precision and recall"},
+      Number{"f1_1", "share", "F1 within 1 m"},
+      Number{"f1_2.5", "share", "F1 within 2.5 m"},
+      Number{"rmse_per_view", "m", "root of the mean square error view by view, then averaged"},
+      Number{"psnr", "dB", "peak signal-to-noise ratio"},
+      Number{"psnr_fitted", "dB", "the same after the best affine map of the colours"},
+      Number{"ssim", "", "structural similarity as scikit-image has it"},
+      Number{"ssim_conv", "", "structural similarity as the training loss has it"},
+      Number{"lpips", "", "perceptual distance; none without --lpips-weights"},
+      Number{"covered", "share", "valid pixels that the surface covers"},
+      Number{"seconds", "s", "time of the reconstruction without reading files"}};
+  std::vector<TableColumn> columns;
+  for (const auto& [name, value] : row_of({})) {
+    TableColumn column{name, "", name, "", ""};
+    for (const auto& [group, meaning] : table_groups())
+      if (name.starts_with(group + "_") && group.size() > column.group.size())
+        column.group = group, column.number = name.substr(group.size() + 1);
+    for (const Number& number : kNumbers)
+      if (column.number == number.name) column.unit = number.unit, column.meaning = number.meaning;
+    columns.push_back(column);
+  }
+  return columns;
 }
 
 TableMean mean_of(const std::vector<SceneScores>& scores) {

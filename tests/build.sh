@@ -11,7 +11,7 @@ shift
 # libboost-dev: OpenVDB's headers want it, its package does not ask for it; GDAL's brings it anyway.
 packages=(g++ cmake ninja-build pkg-config libeigen3-dev libtbb-dev libxsimd-dev nlohmann-json3-dev libgdal-dev
   libopenimageio-dev openimageio-tools libopenvdb-dev libboost-dev libnanoflann-dev libcli11-dev
-  libspdlog-dev libbenchmark-dev doctest-dev)
+  libspdlog-dev libfmt-dev libssl-dev libbenchmark-dev doctest-dev)
 missing=()
 for package in "${packages[@]}"; do
   dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")

@@ -82,7 +82,7 @@ struct StageLoss {
 
   RoutingMasks route(const Tensor& confidence, const Tensor& valid) const {
     return route_losses(confidence, valid,
-                        {.routing = config.routing == "cbrl" ? Routing::cbrl : Routing::none,
+                        {.routing = config.routing,
                          .threshold = config.routing_tau,
                          .warmup = context.step < config.appearance_warmup});
   }
@@ -108,9 +108,9 @@ struct StageLoss {
   void add_geometry(Var& total, double weight) const {
     if (config.geo_weight <= 0) return;
     const Tensor seen = source_pixels(crop.input.sources, stage.stride);
-    if (config.geo_target != "dsm" && !stage.mono_height.empty())
+    if (config.geo_target != GeoTarget::dsm && !stage.mono_height.empty())
       add_term(total, correlation(stage.mono_height, seen), weight * config.geo_weight);
-    if (config.geo_target == "mono" || crop.source_truth.empty()) return;
+    if (config.geo_target == GeoTarget::mono || crop.source_truth.empty()) return;
     Target truth = height_target(crop.source_truth[index]);
     for (Index i = 0; i < seen.count(); ++i) truth.weight[i] *= seen[i];
     add_term(total, correlation(truth.value, truth.weight), weight * config.geo_weight);
@@ -177,7 +177,7 @@ LossConfig loss_preset(const std::string& name) {
   nn::model_preset(name);  // refuses what is none
   LossConfig c;
   const auto unrouted = [&c] {
-    c.routing = "none";
+    c.routing = Routing::none;
     c.geo_weight = 0;
   };
   if (name == "paper") {

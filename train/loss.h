@@ -5,10 +5,24 @@
 #include "satsurf/nn/lpips.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/scene/crop.h"
+#include "satsurf/train/routing.h"
 
 #include <array>
 #include <cstdint>
+#include <filesystem>
 #include <string>
+
+namespace satsurf::train {
+
+/// What heights are correlated with: the relative heights of the monocular branch, the true ones.
+enum class GeoTarget { mono, dsm, both };
+
+}  // namespace satsurf::train
+
+template <>
+struct satsurf::EnumNames<satsurf::train::GeoTarget> {
+  static constexpr std::array names{"mono", "dsm", "both"};
+};
 
 namespace satsurf::train {
 
@@ -19,14 +33,14 @@ struct LossConfig {
   double height_beta = 1;                         ///< its transition, m
   double render_height_weight = 0.1;  ///< smooth-L1 of the height rendered in the target
   double geo_weight = 0.01;           ///< patch-wise Pearson losses of the stage heights
-  std::string geo_target = "mono";    ///< correlate with: mono | dsm | both
-  double colour_weight = 1;           ///< MSE of the rendered target
-  double ssim_weight = 0.05;          ///< 1 - SSIM of it
-  double lpips_weight = 0.1;          ///< LPIPS of it
-  std::string lpips_weights;          ///< its network; without a file the term is off
-  std::string routing = "cbrl";       ///< of Pearson and appearance losses: none | cbrl
-  double routing_tau = 0.2;           ///< confidence that parts them
-  Index appearance_warmup = 200;      ///< steps in which appearance counts everywhere
+  GeoTarget geo_target = GeoTarget::mono;
+  double colour_weight = 1;             ///< MSE of the rendered target
+  double ssim_weight = 0.05;            ///< 1 - SSIM of it
+  double lpips_weight = 0.1;            ///< LPIPS of it
+  std::filesystem::path lpips_weights;  ///< its network; without a file the term is off
+  Routing routing = Routing::cbrl;      ///< of Pearson and appearance losses
+  double routing_tau = 0.2;             ///< confidence that parts them
+  Index appearance_warmup = 200;        ///< steps in which appearance counts everywhere
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -39,8 +53,7 @@ struct LossConfig {
       Field{.help = "weight of the rendered target's height loss", .unit = "1/m", .min = 0});
     v("geo_weight", s.geo_weight,
       Field{.help = "weight of the patch-wise correlation of heights", .min = 0});
-    v("geo_target", s.geo_target,
-      Field{.help = "what heights are correlated with", .choices = {"mono", "dsm", "both"}});
+    v("geo_target", s.geo_target, Field{.help = "what heights are correlated with"});
     v("colour_weight", s.colour_weight,
       Field{.help = "weight of the rendered target's colour loss", .min = 0});
     v("ssim_weight", s.ssim_weight,
@@ -49,10 +62,9 @@ struct LossConfig {
       Field{.help = "weight of the rendered target's perceptual distance", .min = 0});
     v("lpips_weights", s.lpips_weights,
       Field{.help = "network of the perceptual distance; empty leaves the term out, as do stages "
-                    "smaller than it takes (of alex 31 px)"});
-    v("routing", s.routing,
-      Field{.help = "which pixels correlation and appearance learn from",
-            .choices = {"none", "cbrl"}});
+                    "smaller than it takes (of alex 31 px)",
+            .flag = "--lpips_weights,--lpips-weights"});
+    v("routing", s.routing, Field{.help = "which pixels correlation and appearance learn from"});
     v("routing_tau", s.routing_tau,
       Field{.help = "confidence that parts them", .min = 0, .max = 1});
     v("appearance_warmup", s.appearance_warmup,

@@ -147,7 +147,8 @@ double mono_correlation(const Tensor& height, const Tensor& truth, const Tensor&
 nn::Mono train(const MonoTrainConfig& config, const fs::path& data, std::uint64_t seed,
                const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
   check_fields(config, "train");
-  if (config.task != "mono") throw ConfigError("train: task is " + config.task + ", expected mono");
+  if (config.task != Task::mono)
+    throw ConfigError("train: task is " + enum_name(config.task) + ", expected mono");
   if (config.crop % nn::kMonoMultiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +
                       ", expected a multiple of " + std::to_string(nn::kMonoMultiple));

@@ -21,7 +21,7 @@ struct MonoTrainConfig : TrainingSettings {
   double least_relief = 0.5;
 
   MonoTrainConfig() {
-    task = "mono";
+    task = Task::mono;
     crop = 256;  // the network sees 400 px
     lr = 2e-3;
     clip = 1;

@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/fields.h"
 #include "satsurf/core/tensor.h"
+
+#include <array>
 
 namespace satsurf::train {
 
@@ -10,6 +13,15 @@ enum class Routing {
   none,  ///< both from all of them
   cbrl   ///< geometry from the doubtful ones, appearance from the confident ones
 };
+
+}  // namespace satsurf::train
+
+template <>
+struct satsurf::EnumNames<satsurf::train::Routing> {
+  static constexpr std::array names{"none", "cbrl"};
+};
+
+namespace satsurf::train {
 
 struct RoutingOptions {
   Routing routing = Routing::cbrl;

@@ -133,7 +133,7 @@ std::vector<std::string> idle_settings(const TrainConfig& config) {
   if (config.lpips_weight > 0 && config.lpips_weights.empty())
     out.emplace_back("no perceptual loss: lpips_weights names no file");
   const bool mono = config.model.mono != nn::MonoBranch::none;
-  if (config.geo_weight > 0 && config.geo_target != "dsm" && !mono)
+  if (config.geo_weight > 0 && config.geo_target != GeoTarget::dsm && !mono)
     out.emplace_back("no correlation with relative heights: the network has no monocular branch");
   if (!mono && !config.mono_weights.empty())
     out.emplace_back("mono_weights is not read: the network has no monocular branch");
@@ -152,21 +152,22 @@ void train_on_samples(nn::Model& model, const TrainConfig& config, const SampleS
 nn::Model train(const TrainConfig& config, const fs::path& data, std::uint64_t seed,
                 const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
   check_fields(config, "train");
-  if (config.task != "surface")
-    throw ConfigError("train: task is " + config.task + ", expected surface");
+  if (config.task != Task::surface)
+    throw ConfigError("train: task is " + enum_name(config.task) + ", expected surface");
   const Index multiple = nn::size_multiple(config.model);
   if (config.crop % multiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +
                       ", expected a multiple of " + std::to_string(multiple));
   const bool resume = !checkpoint.empty();
   const bool branch = !resume && needs_branch(config);
-  const std::string mono = config.mono_weights.empty() ? config.mono_found : config.mono_weights;
+  const fs::path mono = config.mono_weights.empty() ? config.mono_found : config.mono_weights;
   if (branch && mono.empty())
     throw ConfigError(
         "train: no weights of the monocular branch, expected mono_weights: what --task mono made");
   if (!resume && !branch && config.model.mono != nn::MonoBranch::none &&
       !config.mono_weights.empty())
-    throw ConfigError("train: mono_weights is " + config.mono_weights + ", but " + config.init +
+    throw ConfigError("train: mono_weights is " + config.mono_weights.string() + ", but " +
+                      config.init.string() +
                       " has a monocular branch already, expected one of them");
   const auto scenes = training_scenes(data, config.views + 1, callbacks.reading);  // and one target
   nn::Model model(config.model, seed);

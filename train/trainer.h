@@ -16,8 +16,9 @@ namespace satsurf::train {
 struct TrainConfig : TrainingSettings, LossConfig {
   std::string preset = "base8";  ///< starting point of `model` and of the losses
   nn::ModelConfig model;
-  std::string mono_weights;   ///< of the monocular branch, from `--task mono`; see `train`
-  std::string mono_found;     ///< the file where `mono_weights` is empty; no field, not recorded
+  std::filesystem::path mono_weights;  ///< of the monocular branch, from `--task mono`; see `train`
+  std::filesystem::path
+      mono_found;             ///< the file where `mono_weights` is empty; no field, not recorded
   Index views = 3;            ///< source views per sample; one more is the target
   double range_jitter = 0.2;  ///< random widening of the height range, share of its span
 
@@ -30,7 +31,9 @@ struct TrainConfig : TrainingSettings, LossConfig {
     LossConfig::fields(s, v);
     v("model", s.model, Field{.help = "network"});
     v("mono_weights", s.mono_weights,
-      Field{.help = "trained monocular branch; empty for the shipped one"});
+      Field{.help = "trained monocular branch",
+            .automatic = "the shipped one",
+            .flag = "--mono_weights,--mono-weights"});
     v("views", s.views, Field{.help = "source views per sample", .min = 2, .max = 8});
     v("range_jitter", s.range_jitter,
       Field{.help = "random widening of the height range", .min = 0, .max = 2});

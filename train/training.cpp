@@ -51,11 +51,11 @@ nlohmann::json without_folders(nlohmann::json config) {
 }
 
 /// Takes what a weights file has of the network.
-void start_from(const std::string& init, TrainingTask& task, const TrainingCallbacks& callbacks) {
+void start_from(const fs::path& init, TrainingTask& task, const TrainingCallbacks& callbacks) {
   const std::vector<std::string> missing =
-      task.parameters().load_present(load_safetensors(init), task.prefix(), init);
+      task.parameters().load_present(load_safetensors(init), task.prefix(), init.string());
   if (missing.empty() || !callbacks.note) return;
-  callbacks.note(init + ": has all but " + std::to_string(missing.size()) + " of the " +
+  callbacks.note(init.string() + ": has all but " + std::to_string(missing.size()) + " of the " +
                  std::to_string(task.parameters().entries().size()) + " parameters; " +
                  missing.front() + " to " + missing.back() + " start as without it");
 }

@@ -17,10 +17,23 @@
 
 namespace satsurf::train {
 
+/// Which network is trained: the one that makes surfaces, or the monocular one.
+enum class Task { surface, mono };
+
+}  // namespace satsurf::train
+
+template <>
+struct satsurf::EnumNames<satsurf::train::Task> {
+  static constexpr std::array names{"surface", "mono"};
+};
+
+namespace satsurf::train {
+
 /// What every training run has, whatever network it trains.
 struct TrainingSettings {
-  std::string task = "surface";  ///< which network
-  std::string init;  ///< weights to start from, of all or parts of the network; empty for none
+  Task task = Task::surface;
+  std::filesystem::path
+      init;  ///< weights to start from, of all or parts of the network; empty for none
   Index steps = 4000;
   Index crop = 128;  ///< window side, px
   double lr = 1e-3;
@@ -35,8 +48,7 @@ struct TrainingSettings {
   static void fields(Self& s, V&& v) {
     v("task", s.task,
       Field{.help = "network to train: the one that makes surfaces of two or more images, or the "
-                    "one that sees relative heights in a single image",
-            .choices = {"surface", "mono"}});
+                    "one that sees relative heights in a single image"});
     v("init", s.init,
       Field{.help = "weights to start from instead of random ones; parts of the network that "
                     "the file lacks start as without it"});

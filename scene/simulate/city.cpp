@@ -68,8 +68,8 @@ class Painter {
     Rng r = rng.fork(2);
     rock_share_ = static_cast<float>(r.uniform(-0.3, 0.9));
     green_share_ = static_cast<float>(r.uniform(-0.4, 0.8));
-    bumps_ = static_cast<float>(layout.plan.kind == "rough" ? r.uniform(0.05, 0.4)
-                                                            : r.uniform(0.0, 0.08));
+    bumps_ = static_cast<float>(layout.plan.kind == SceneKind::rough ? r.uniform(0.05, 0.4)
+                                                                     : r.uniform(0.0, 0.08));
     const float b = static_cast<float>(r.uniform(0.35, 1.2)), dry = static_cast<float>(r.uniform());
     wild_soil_ = {0.25f * b * static_cast<float>(r.uniform(0.95, 1.25)), 0.20f * b, 0.15f * b};
     wild_rock_ = {0.30f * b, 0.285f * b, 0.26f * b};

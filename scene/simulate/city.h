@@ -3,6 +3,7 @@
 
 #include "satsurf/core/rng.h"
 #include "satsurf/scene/raycast.h"
+#include "satsurf/scene/simulate/kind.h"
 
 #include <array>
 #include <cstdint>
@@ -76,9 +77,9 @@ struct SurfaceCell {
 
 /// What a scene is to contain; heights are local, m.
 struct CityPlan {
-  std::string kind = "city";  ///< city, suburb, industrial, village, rural, rough
-  double relief = 5;          ///< the ground stays within +-relief
-  double tallest = 30;        ///< nothing rises higher above the ground
+  SceneKind kind = SceneKind::city;
+  double relief = 5;    ///< the ground stays within +-relief
+  double tallest = 30;  ///< nothing rises higher above the ground
   bool water = false;
   double x0 = 0, y0 = 0, step = 0.25;  ///< grid of the height field
   Index size = 1024;                   ///< its rows and columns

@@ -59,7 +59,7 @@ void shape_ground(Layout& layout, const Rng& rng) {
   const Index N = plan.size;
   const auto step = static_cast<float>(plan.step), A = static_cast<float>(plan.relief);
   Rng draw = rng.fork(1);
-  const bool rough = plan.kind == "rough", open = rough || plan.kind == "rural";
+  const bool rough = plan.kind == SceneKind::rough, open = rough || plan.kind == SceneKind::rural;
 
   const double period = open ? draw.uniform(90, 260) : draw.uniform(180, 420);
   const Tensor hills = fractal_noise(N, N, plan.step,
@@ -125,7 +125,7 @@ void shape_ground(Layout& layout, const Rng& rng) {
                       (z - layout.water_height) * (0.25f + 0.75f * smooth_step(d / beach));
     }
   }
-  if (open || plan.kind == "village") {
+  if (open || plan.kind == SceneKind::village) {
     const Tensor noise = fractal_noise(
         N, N, plan.step,
         {.period = draw.uniform(120, 260), .octaves = 2, .gain = 0.25f, .seed = seed_of(rng, 5)});

@@ -21,14 +21,21 @@ struct Fabric {
   double groves;                              // tree cover of open ground
 };
 
-Fabric fabric_of(const std::string& kind, Rng& rng) {
-  if (kind == "city") return {88, 98, 6.8, 3, 0.82, 0.02, 0.08, 0.05, 0.02, 34, 7, 28, 0.3, 0.10};
-  if (kind == "suburb")
-    return {75, 110, 4.2, 1.8, 0.10, 0.72, 0.05, 0.10, 0.03, 26, 4, 10, 0.01, 0.30};
-  if (kind == "industrial")
-    return {140, 115, 6, 1.5, 0.66, 0, 0.18, 0.05, 0.10, 60, 6, 15, 0.04, 0.06};
-  if (kind == "village") return {62, 80, 3.2, 1, 0.12, 0.60, 0.04, 0.14, 0.05, 20, 5, 11, 0, 0.35};
-  if (kind == "rural") return {170, 140, 2.4, 0, 0.03, 0.08, 0, 0.10, 0.12, 24, 4, 8, 0, 0.25};
+Fabric fabric_of(SceneKind kind, Rng& rng) {
+  switch (kind) {
+    case SceneKind::city:
+      return {88, 98, 6.8, 3, 0.82, 0.02, 0.08, 0.05, 0.02, 34, 7, 28, 0.3, 0.10};
+    case SceneKind::suburb:
+      return {75, 110, 4.2, 1.8, 0.10, 0.72, 0.05, 0.10, 0.03, 26, 4, 10, 0.01, 0.30};
+    case SceneKind::industrial:
+      return {140, 115, 6, 1.5, 0.66, 0, 0.18, 0.05, 0.10, 60, 6, 15, 0.04, 0.06};
+    case SceneKind::village:
+      return {62, 80, 3.2, 1, 0.12, 0.60, 0.04, 0.14, 0.05, 20, 5, 11, 0, 0.35};
+    case SceneKind::rural:
+      return {170, 140, 2.4, 0, 0.03, 0.08, 0, 0.10, 0.12, 24, 4, 8, 0, 0.25};
+    case SceneKind::rough:
+      break;
+  }
   return {1e6, 1e6, 0, 0, 0, 0, 0, 0, 0, 20, 4, 8, 0, rng.uniform(0.1, 0.7)};
 }
 
@@ -78,8 +85,9 @@ class Furnisher {
     s.pavement = static_cast<float>(f.pavement) * draw(r, 0.5, 1.4);
     s.marked = f.half_width > 4;
     const float worn = draw(r, 0.8, 2.4);
-    s.colour = layout_.plan.kind == "rural" ? soil_colour(r)
-                                            : Colour{0.105f * worn, 0.105f * worn, 0.108f * worn};
+    s.colour = layout_.plan.kind == SceneKind::rural
+                   ? soil_colour(r)
+                   : Colour{0.105f * worn, 0.105f * worn, 0.108f * worn};
     if (f.block_u < 1e5) {
       s.u_lines = street_lines(r, f.block_u, reach);
       s.v_lines = street_lines(r, f.block_v, reach);
@@ -91,9 +99,10 @@ class Furnisher {
     for (std::size_t v = 0; v < V; ++v) {
       for (std::size_t u = 0; u < U; ++u) add_block(f, u, v, rng_.fork(16 + v * 4096 + u));
     }
-    const double spacing = layout_.plan.kind == "rough" ? r.uniform(1.8, 4) : r.uniform(4.5, 7);
+    const double spacing =
+        layout_.plan.kind == SceneKind::rough ? r.uniform(1.8, 4) : r.uniform(4.5, 7);
     add_groves(layout_, rng_.fork(2), static_cast<float>(f.groves), static_cast<float>(spacing),
-               layout_.plan.kind == "rough" ? draw(r, 1.2, 4.5) : draw(r, 3, 6));
+               layout_.plan.kind == SceneKind::rough ? draw(r, 1.2, 4.5) : draw(r, 3, 6));
     if (f.block_u < 1e5) traffic(rng_.fork(3));
   }
 
@@ -288,7 +297,7 @@ void add_groves(Layout& layout, const Rng& rng, float density, float spacing, fl
     const float k = 6.2832f / draw(r, 20, 120), a = draw(r, 0, 6.2832);
     w = {k * std::cos(a), k * std::sin(a), draw(r, 0, 6.2832)};
   }
-  const bool conifers = r.chance(0.3), wild = layout.plan.kind == "rough";
+  const bool conifers = r.chance(0.3), wild = layout.plan.kind == SceneKind::rough;
   const auto boulders = static_cast<std::uint32_t>(r.chance(0.6) ? r.uniform(0, 500) : 0);
   const int n = static_cast<int>(2 * reach / spacing);
   const auto open_ground = [&](float x, float y) {

@@ -33,21 +33,26 @@ CityPlan draw_plan(const SimulateConfig& config, Rng& rng) {
     plan.relief = std::min(log_uniform(rng, relief_low, relief_high), config.relief_max);
     plan.tallest = std::min(rng.uniform(tall_low, tall_high), config.tallest_max);
   };
-  if (plan.kind == "city")
-    range(0.5, 8, 24, 60);
-  else if (plan.kind == "suburb")
-    range(0.5, 14, 24, 26);
-  else if (plan.kind == "industrial")
-    range(0.5, 6, 24, 40);
-  else if (plan.kind == "village")
-    range(1, 25, 24, 26);
-  else if (plan.kind == "rural")
-    range(2, 35, 24, 25);
-  else if (plan.kind == "rough")
-    range(8, 60, 24, 25);
-  else
-    throw ConfigError("simulate: kinds has " + plan.kind +
-                      ", expected city, suburb, industrial, village, rural or rough");
+  switch (plan.kind) {
+    case SceneKind::city:
+      range(0.5, 8, 24, 60);
+      break;
+    case SceneKind::suburb:
+      range(0.5, 14, 24, 26);
+      break;
+    case SceneKind::industrial:
+      range(0.5, 6, 24, 40);
+      break;
+    case SceneKind::village:
+      range(1, 25, 24, 26);
+      break;
+    case SceneKind::rural:
+      range(2, 35, 24, 25);
+      break;
+    case SceneKind::rough:
+      range(8, 60, 24, 25);
+      break;
+  }
   plan.water = rng.chance(config.water);
   return plan;
 }

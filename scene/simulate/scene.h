@@ -5,6 +5,7 @@
 #include "satsurf/rpc/frame.h"
 #include "satsurf/rpc/model.h"
 #include "satsurf/scene/raycast.h"
+#include "satsurf/scene/simulate/kind.h"
 
 #include <cstdint>
 #include <filesystem>
@@ -20,7 +21,8 @@ struct SimulateConfig {
   Index pixels = 512;  ///< rows and columns of every image
   Index views = 5;
   double gsd = 0;  ///< m; 0 draws 0.3 to 0.6 for each scene
-  std::vector<std::string> kinds{"city", "suburb", "industrial", "village", "rural", "rough"};
+  std::vector<SceneKind> kinds{SceneKind::city,    SceneKind::suburb, SceneKind::industrial,
+                               SceneKind::village, SceneKind::rural,  SceneKind::rough};
   double relief_max = 60;     ///< m
   double tallest_max = 60;    ///< m
   double water = 0.15;        ///< share of the scenes
@@ -43,9 +45,7 @@ struct SimulateConfig {
             .unit = "m",
             .min = 0,
             .max = 5});
-    v("kinds", s.kinds,
-      Field{.help = "kinds of scenes, drawn with equal chance",
-            .choices = {"city", "suburb", "industrial", "village", "rural", "rough"}});
+    v("kinds", s.kinds, Field{.help = "kinds of scenes, drawn with equal chance"});
     v("relief_max", s.relief_max,
       Field{
           .help = "caps the ground's deviation from its mean, of which no kind draws more than 60",
@@ -95,7 +95,7 @@ struct SimulatedView {
 
 /// One made-up place.
 struct SimulatedScene {
-  std::string kind;
+  SceneKind kind = SceneKind::city;
   HeightField dsm;  ///< in the local frame, a square that every view lies within
   rpc::LocalFrame frame;
   std::vector<SimulatedView> views;
@@ -105,7 +105,7 @@ struct SimulatedScene {
 };
 
 /// Scene number `index` of a seed: a pure function of the arguments, for any number of threads.
-/// throws  ConfigError for a kind that is not among SimulateConfig's
+/// throws  ConfigError if no kind is to choose from
 SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index);
 
 /// Writes a scene in the layout of DFC2019 Track 3:

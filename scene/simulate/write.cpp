@@ -28,7 +28,7 @@ void write_scene(const SimulatedScene& scene, const fs::path& out_dir, const std
 
   nlohmann::ordered_json record;
   record["scene"] = name;
-  record["kind"] = scene.kind;
+  record["kind"] = enum_name(scene.kind);
   record["gsd"] = scene.gsd;
   record["epsg"] = scene.frame.zone.epsg();
   record["min_alt"] = scene.h_min;

@@ -94,9 +94,21 @@ TEST_CASE("record: holds what a run depended on") {
   CHECK(j["inputs"][2]["sha256"] == sha256("xy"));
   CHECK(j["results"] == nlohmann::json{{"mae", 1.25}});
 
-  CHECK(load_config(folder / "out/run.json") == nlohmann::json{{"lr", 0.5}});
+  std::vector<std::string> keys;
+  for (const auto& [key, meaning] : record_keys()) {
+    CHECK(!meaning.empty());
+    keys.push_back(key);
+  }
+  std::vector<std::string> written;
+  for (const auto& [key, value] : record.json().items()) written.push_back(key);
+  CHECK(written == keys);
+
+  CHECK(load_config(folder / "out/run.json", "train") == nlohmann::json{{"lr", 0.5}});
   write_bytes(folder / "plain.json", R"({"lr": 0.25, "config": 1})");
-  CHECK(load_config(folder / "plain.json") == nlohmann::json{{"lr", 0.25}, {"config", 1}});
+  CHECK(load_config(folder / "plain.json", "train") == nlohmann::json{{"lr", 0.25}, {"config", 1}});
+  CHECK(error_of<ConfigError>([&] { load_config(folder / "out/run.json", "simulate"); }) ==
+        (folder / "out/run.json").string() +
+            ": the record of \"train\", expected one of \"simulate\"");
   CHECK(error_of<IoError>([&] { record.add_input(folder / "none"); }) ==
         (folder / "none").string() + ": cannot be read, expected a file");
 }

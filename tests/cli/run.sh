@@ -259,7 +259,7 @@ holds "nothing below a warning on stderr" test ! -s stderr
 holds "or in the file" cmp log.txt before.txt
 "$satsurf" info gone.tif --log-file log.txt 2>stderr
 holds "errors go to the file too" grep -qE " error +gone.tif" log.txt
-refuses "unknown level" 2 "log-level: loud, expected error, warning, info or debug" "$satsurf" info "${images[0]}" --log-level loud
+refuses "unknown level" 2 "log-level is .loud., expected one of error, warning, info, debug" "$satsurf" info "${images[0]}" --log-level loud
 refuses "log in a missing folder" 1 "gone/log.txt.*no folder gone" "$satsurf" info "${images[0]}" --log-file gone/log.txt
 refuses "scores over a file of the data set" 1 "json: $truth is a file of the input data" \
   "$satsurf" evaluate --data data --weights $weights --json $truth --overwrite
@@ -283,7 +283,73 @@ holds "it says how to write a list" grep -qE -- "--model.hypotheses 3 comma-sepa
 holds "which fields are files" grep -qE -- "--(init|mono_weights,--mono-weights) FILE" stdout
 holds "and what must be there" grep -qE -- "--out DIR .*\(required unless --print-config\)" stdout
 succeeds "help of reconstruct" "$satsurf" reconstruct --help
+cp stdout help.txt
 holds "it says how to write a range" grep -qE -- "--height-range LOW HIGH in m  " stdout
+holds "and what is taken where nothing is asked for" grep -qE "two pixels on the ground" stdout
+succeeds "the same by the command help" "$satsurf" help reconstruct
+holds "word for word" cmp stdout help.txt
+succeeds "help" "$satsurf" help
+holds "it lists the commands" grep -qE "^  reconstruct +the surface two or more images show$" stdout
+refuses "help of what is none" 2 "unknown command paint, expected one of info" "$satsurf" help paint
+succeeds "the reference" "$satsurf" help --markdown
+for told in "### satsurf evaluate" '| `--height-range` | 2 numbers |' '| `mesh_without_walls` |'; do
+  holds "it has $told" grep -qF -- "$told" stdout
+done
+
+# A record brings all that made its surface; flags change it, and results go where they are told.
+succeeds "reconstruct from its record" "$satsurf" reconstruct --config out/run.json --out replayed --quiet --threads 1
+holds "the same surface" diff -r -x run.json out replayed
+config() { sed -n '/^  "config": {/,/^  }/p' "$1"; }
+holds "from the same configuration" cmp <(config out/run.json) <(config replayed/run.json)
+succeeds "a record and a flag" "$satsurf" reconstruct --config out/run.json --mesh none --print-config
+holds "the flag wins" grep -q '"mesh": "none"' stdout
+holds "the images are the record's" grep -qF "\"${images[2]}\"" stdout
+holds "what is automatic stays so" grep -qE '"voxel": 0.0' stdout
+succeeds "a record and other images" "$satsurf" reconstruct x.tif y.tif --config out/run.json --print-config
+holds "which take their place" cmp <(grep -A 3 '"images"' stdout) <(printf '  "images": [\n    "x.tif",\n    "y.tif"\n  ],\n')
+succeeds "a range in the configuration" "$satsurf" reconstruct --height-range -5 60 --print-config
+holds "is there" cmp <(grep -A 3 '"height_range"' stdout) <(printf '  "height_range": [\n    -5.0,\n    60.0\n  ],\n')
+cp stdout range.json
+succeeds "and read again" "$satsurf" reconstruct --config range.json --print-config
+holds "as it was" cmp stdout range.json
+echo '{"height_range": [1]}' >bad.json
+refuses "a wrong range in the file" 2 "bad.json: height_range is .1., expected 2 x numbers" \
+  "$satsurf" reconstruct --config bad.json --print-config
+refuses "overwriting the record that is repeated" 1 "replayed holds the input replayed/run.json" \
+  "$satsurf" reconstruct --config replayed/run.json --out replayed --overwrite --quiet
+refuses "no images" 2 "images is required" "$satsurf" reconstruct --out no
+refuses "another command's record" 2 "out/run.json: the record of .reconstruct., expected one of .train." \
+  "$satsurf" train --config out/run.json --print-config
+succeeds "scores from their record" "$satsurf" evaluate --config scores.json --json again.json
+holds "are the same" cmp <(sed -n '/"results"/,$p' scores.json) <(sed -n '/"results"/,$p' again.json)
+refuses "scores over their record" 1 "--json: scores.json is an input" \
+  "$satsurf" evaluate --config scores.json --json scores.json --overwrite
+succeeds "a record of scores and a flag" "$satsurf" evaluate --config scores.json --register none --print-config
+holds "the registration is the flag's" grep -q '"register": "none"' stdout
+holds "the truth is the record's" grep -qF "\"truth\": \"$truth\"" stdout
+succeeds "a data set's scores from their record" "$satsurf" evaluate --config all.json --csv again.csv --threads 1 --quiet
+holds "are the same table" cmp <(untimed all.csv) <(untimed again.csv)
+succeeds "water and meshes" "$satsurf" evaluate --data data --keep-water --no-meshes --print-config
+cp stdout water.json
+holds "water counts" grep -q '"mask_water": false' water.json
+holds "meshes do not" grep -q '"meshes": false' water.json
+succeeds "a switch against the file" "$satsurf" evaluate --config water.json --no-meshes=false --print-config
+holds "takes it back" grep -q '"meshes": true' stdout
+holds "and nothing else" grep -q '"mask_water": false' stdout
+succeeds "a picture's scores from their record" "$satsurf" evaluate --config picture.json
+holds "say the same" grep -qE "^SSIM +0\.[0-9]{5}$" stdout
+succeeds "a mesh's scores from their record" "$satsurf" evaluate --config mesh.json
+holds "say the same" grep -qE "^surfaces +chamfer +[0-9.]+ m" stdout
+refuses "a record of something else" 2 "scores.json: unknown key 'classes'" "$satsurf" evaluate --config scores.json --data data
+succeeds "what render would do" "$satsurf" render --surfels out/surfels.ply --nadir --resolution 2 --print-config
+cp stdout render.json
+holds "it is told" grep -q '"resolution": 2.0' render.json
+succeeds "render from a file" "$satsurf" render --config render.json --out coarse.png
+succeeds "a camera instead of above" "$satsurf" render --config render.json --image "${images[0]}" --print-config
+holds "takes its place" grep -q '"nadir": false' stdout
+refuses "neither camera nor above" 2 "--image or --nadir" "$satsurf" render --surfels out/surfels.ply --out no.png
+refuses "both" 2 "excludes" "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --nadir --out no.png
+refuses "no surfels named" 2 "--surfels is required" "$satsurf" render --nadir --out no.png
 echo '{"stepz": 7}' >typo.json
 refuses "unknown key" 2 "typo.json.*stepz.*steps" "$satsurf" train --config typo.json --data data --out no
 echo '{"steps": ' >broken.json
@@ -302,7 +368,7 @@ refuses "a flag of another task" 2 "task mono: --views" "$satsurf" train --data 
 refuses "a flag of the other task" 2 "task surface: --batch" "$satsurf" train --data data --out no --batch 3
 refuses "crop that does not fit mono" 2 "crop is 48, expected a multiple of 32" "$satsurf" train --data data --out no --task mono --crop 48
 refuses "heights the wrong way round" 2 "height-range" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 50 10
-refuses "unknown registration" 2 "xy.*none, z or xyz" "$satsurf" evaluate --dsm $truth --truth $truth --register xy
+refuses "unknown registration" 2 "register is .xy., expected one of none, z, xyz" "$satsurf" evaluate --dsm $truth --truth $truth --register xy
 refuses "a picture without a reference" 2 "--reference" "$satsurf" evaluate --image out/height.png
 refuses "a mesh without a reference" 2 "--reference-mesh" "$satsurf" evaluate --mesh out/mesh.ply
 refuses "a mesh and a picture" 2 "--mesh excludes --image|--image excludes --mesh" \
@@ -377,7 +443,7 @@ refuses "two tables in one file" 1 "out/../both: named for two" \
   scores --data data --weights $weights --csv out/../both --confidence-figure both
 refuses "a network's weights for LPIPS of a data set" 1 "$weights: no net.slice1.0.weight" \
   scores --data data --weights $weights --lpips-weights $weights
-refuses "unknown registration of a data set" 2 "xy.*none, z or xyz" scores --data data --weights $weights --register xy
+refuses "unknown registration of a data set" 2 "register is .xy., expected one of none, z, xyz" scores --data data --weights $weights --register xy
 refuses "scores into the truth" 1 "--json: $truth is an input" scores "${scored[@]}" --json $truth --overwrite
 refuses "scores into the weights" 1 "--csv: $weights is an input" scores --data data --weights $weights --csv $weights --overwrite
 refuses "scores into a folder" 1 "--json: out is a folder" scores "${scored[@]}" --json out --overwrite

@@ -251,9 +251,3 @@ TEST_CASE("compare_dsm") {
     CHECK(met.registered.mae == 0);
   }
 }
-
-TEST_CASE("registration_from") {
-  CHECK(registration_from("xyz") == Registration::xyz);
-  CHECK_THROWS_WITH_AS(registration_from("xy"), "register: xy, expected none, z or xyz",
-                       ConfigError);
-}

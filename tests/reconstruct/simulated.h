@@ -15,7 +15,8 @@ namespace satsurf::test {
 /// A made-up village.
 inline scene::SimulatedScene village(Index pixels, Index views) {
   scene::SimulateConfig config = scene::SimulateConfig();
-  config.pixels = pixels, config.views = views, config.gsd = 0.5, config.kinds = {"village"};
+  config.pixels = pixels, config.views = views, config.gsd = 0.5,
+  config.kinds = {scene::SceneKind::village};
   config.water = 0;
   return scene::simulate_scene(config, 5, 0);
 }

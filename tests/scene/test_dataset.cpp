@@ -25,7 +25,7 @@ SimulateConfig small_scene() {
   c.pixels = 96;
   c.views = 4;
   c.gsd = 0.5;
-  c.kinds = {"village"};
+  c.kinds = {scene::SceneKind::village};
   return c;
 }
 
@@ -288,7 +288,7 @@ TEST_CASE("folders that are no data sets are refused") {
 TEST_CASE("the height range of a scene is found by comparing its images") {
   SimulateConfig config = small_scene();
   config.pixels = 192;
-  config.kinds = {"rural"};
+  config.kinds = {scene::SceneKind::rural};
   const SimulatedScene made = simulate_scene(config, 11, 0);
   Scene scene;
   scene.frame = made.frame;

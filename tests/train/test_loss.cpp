@@ -152,7 +152,7 @@ TEST_CASE("the height and colour losses are what they are defined as") {
 
   LossConfig colours = silent();
   colours.colour_weight = 2;
-  colours.routing = "none";
+  colours.routing = Routing::none;
   CHECK(made.total(colours) ==
         doctest::Approx(2 * squared_error(target_view(made, 2))).epsilon(1e-4));
 }
@@ -162,7 +162,7 @@ TEST_CASE("appearance learns from confident pixels, from all while it warms up")
   LossConfig routed = silent();
   routed.colour_weight = 1;
   LossConfig everywhere = routed;
-  everywhere.routing = "none";
+  everywhere.routing = Routing::none;
   const LossContext warm{.step = routed.appearance_warmup - 1, .seed = 3},
       after{.step = routed.appearance_warmup, .seed = 3};
   const double all = made.total(everywhere, kLate);
@@ -201,7 +201,7 @@ TEST_CASE("correlation learns from doubtful pixels") {
   LossConfig routed = silent();
   routed.geo_weight = 1;
   LossConfig everywhere = routed;
-  everywhere.routing = "none";
+  everywhere.routing = Routing::none;
 
   confident(0.1f, 0.1f);
   relative(2, 5);  // unit and offset do not matter
@@ -219,13 +219,13 @@ TEST_CASE("correlation learns from doubtful pixels") {
   CHECK(half < 0.7 * all);
   CHECK(made.total(routed, {.step = 100'001, .seed = 3}) != half);  // other patches
 
-  routed.geo_target = "dsm";
+  routed.geo_target = GeoTarget::dsm;
   const double dsm = made.total(routed, kLate);
-  routed.geo_target = "both";
+  routed.geo_target = GeoTarget::both;
   CHECK(made.total(routed, kLate) == doctest::Approx(dsm + half));
   stage.mono_height = {};  // without a branch there is nothing relative to learn from
   CHECK(made.total(routed, kLate) == doctest::Approx(dsm));
-  routed.geo_target = "mono";
+  routed.geo_target = GeoTarget::mono;
   CHECK_THROWS_AS(made.total(routed, kLate), Error);
 }
 
@@ -237,7 +237,7 @@ TEST_CASE("the perceptual term, in stages large enough for its network") {
   LossConfig config = silent();
   config.stage_weight = {5, 7, 2};
   config.lpips_weight = 0.3;
-  config.routing = "none";
+  config.routing = Routing::none;
   const TargetView target = target_view(made, 2);
   const double distance =
       static_cast<double>(lpips(Var(target.colour), target.image, target.opaque).value().item());
@@ -251,7 +251,7 @@ TEST_CASE("the losses of presets") {
   paper.height_weight = paper.render_height_weight = 0;
   paper.appearance_warmup = 0;
   LossConfig cascade;
-  cascade.routing = "none";
+  cascade.routing = Routing::none;
   cascade.geo_weight = 0;
   LossConfig others = cascade;
   others.ssim_weight = 0;
@@ -282,10 +282,10 @@ TEST_CASE("the losses of presets") {
   CHECK(c.height_weight == 1);
   CHECK(c.render_height_weight == 0.1);
   CHECK(c.geo_weight == 0.01);
-  CHECK(c.geo_target == "mono");
+  CHECK(c.geo_target == GeoTarget::mono);
   CHECK(c.colour_weight == 1);
   CHECK(c.ssim_weight == 0.05);
   CHECK(c.lpips_weight == 0.1);
-  CHECK(c.routing == "cbrl");
+  CHECK(c.routing == Routing::cbrl);
   CHECK(c.routing_tau == 0.2);
 }

@@ -46,7 +46,7 @@ const std::filesystem::path& data() {
     c.pixels = 96;
     c.views = 3;
     c.gsd = 0.5;
-    c.kinds = {"city", "suburb"};
+    c.kinds = {scene::SceneKind::city, scene::SceneKind::suburb};
     for (Index i = 0; i < 2; ++i)
       write_scene(simulate_scene(c, 31, i), folder.path(), "SIM_00" + std::to_string(i + 1));
     return true;
@@ -245,13 +245,13 @@ TEST_CASE("monocular training refuses what it cannot do") {
   };
   MonoTrainConfig odd = tiny(1), other = tiny(1), none = tiny(1);
   odd.crop = 48;
-  other.task = "surface";
+  other.task = Task::surface;
   none.batch = 0;
   CHECK(refusal(odd) == "train: crop is 48, expected a multiple of 32");
   CHECK(refusal(other) == "train: task is surface, expected mono");
   CHECK(refusal(none).starts_with("train: batch"));
   TrainConfig surface = TrainConfig();
-  surface.task = "mono";
+  surface.task = Task::mono;
   CHECK_THROWS_WITH_AS(train_in_folder(surface, data(), folder / "no", 4),
                        "train: task is mono, expected surface", ConfigError);
 }

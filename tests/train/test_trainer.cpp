@@ -168,14 +168,14 @@ TEST_CASE("settings without effect are told") {
         std::vector<std::string>{
             "no perceptual loss: lpips_weights names no file",
             "no correlation with relative heights: the network has no monocular branch"});
-  config.geo_target = "dsm";
+  config.geo_target = GeoTarget::dsm;
   config.lpips_weights = "l.safetensors";
   CHECK(idle_settings(config).empty());
   config.mono_weights = "m.safetensors";
   CHECK(idle_settings(config) ==
         std::vector<std::string>{"mono_weights is not read: the network has no monocular branch"});
   config.model.mono = nn::MonoBranch::own;
-  config.geo_target = "mono";
+  config.geo_target = GeoTarget::mono;
   CHECK(idle_settings(config).empty());
 }
 

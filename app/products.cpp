@@ -1,51 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/commands.h"
+#include "satsurf/app/products.h"
 
-#include "satsurf/app/record.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/version.h"
-#include "satsurf/nn/shipped_weights.h"
 
-#include <atomic>
 #include <cmath>
-#include <csignal>
 #include <cstdio>
 
+#include <fmt/format.h>
+
 namespace satsurf::app {
-namespace {
-
-namespace fs = std::filesystem;
-
-std::atomic<int> signal_seen{0};
-
-}  // namespace
-
-void catch_interrupts() {
-  struct sigaction action {};
-  action.sa_handler = [](int signal) { signal_seen = signal; };
-  action.sa_flags = static_cast<int>(SA_RESETHAND);  // the second one kills
-  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
-    struct sigaction before {};
-    sigaction(signal, nullptr, &before);
-    if (signal == SIGHUP && before.sa_handler == SIG_IGN) continue;  // nohup
-    sigaction(signal, &action, nullptr);
-  }
-}
-
-bool interrupted() { return signal_seen != 0; }
-int interrupt_signal() { return signal_seen; }
-
-fs::path find_weights(const fs::path& asked) {
-  return asked.empty() ? nn::shipped_weights(nn::ShippedNetwork::surface, "give --weights FILE")
-                       : asked;
-}
 
 std::vector<std::string> frame_comments(const rpc::LocalFrame& frame) {
-  char origin[128];
-  std::snprintf(origin, sizeof origin, "origin %.17g %.17g %.17g", frame.easting0, frame.northing0,
-                frame.h0);
   return {std::string("satsurf ") + program_version(),
-          "crs EPSG:" + std::to_string(frame.zone.epsg()), origin,
+          "crs EPSG:" + std::to_string(frame.zone.epsg()),
+          fmt::format("origin {:.17g} {:.17g} {:.17g}", frame.easting0, frame.northing0, frame.h0),
           "x east, y north, z up in m from the origin: easting, northing, height above the WGS84 "
           "ellipsoid"};
 }
@@ -73,8 +42,9 @@ rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
   return frame;
 }
 
-void write_field(const fs::path& path, const Tensor& values, const scene::HeightField& grid,
-                 const rpc::LocalFrame& frame, double offset, const rpc::GeoTags& tags) {
+void write_field(const std::filesystem::path& path, const Tensor& values,
+                 const scene::HeightField& grid, const rpc::LocalFrame& frame, double offset,
+                 const rpc::GeoTags& tags) {
   Tensor out = values.clone();
   for (float& v : out.values()) v = static_cast<float>(static_cast<double>(v) + offset);
   rpc::write_geo_raster(

@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+namespace satsurf::app {
+
+/// Thrown out of a command that was told to stop, e.g. by Ctrl-C.
+struct Interrupted {};
+
+/// From now on the first SIGINT, SIGTERM or SIGHUP is noted and the second of its kind kills; a
+/// SIGHUP that nohup has the program ignore stays ignored.
+void catch_interrupts();
+/// Whether one has come since.
+bool interrupted();
+/// The signal noted, 0 for none.
+int interrupt_signal();
+
+}  // namespace satsurf::app

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/rpc/frame.h"
+#include "satsurf/rpc/raster.h"
+#include "satsurf/scene/raycast.h"
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace satsurf::app {
+
+/// The frame of a surfel or mesh file, as comment lines of its header.
+std::vector<std::string> frame_comments(const rpc::LocalFrame& frame);
+/// The inverse of `frame_comments`.
+/// where   begins the error text
+/// throws  IoError if the lines do not name a frame
+rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
+                                    const std::string& where);
+
+/// Writes a GeoTIFF of what is known on the grid of a local field.
+/// values  [H W], NaN where unknown
+/// offset  added to every value: the frame's `h0` makes local heights ellipsoidal
+/// throws  IoError
+void write_field(const std::filesystem::path& path, const Tensor& values,
+                 const scene::HeightField& grid, const rpc::LocalFrame& frame, double offset,
+                 const rpc::GeoTags& tags);
+
+}  // namespace satsurf::app

@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/app/program.h"
+
+#include <array>
+#include <filesystem>
+#include <vector>
+
+namespace satsurf::app {
+
+/// How mesh.ply is made: of the fused heights of all views, or not at all.
+enum class MeshKind { tsdf, none };
+
+}  // namespace satsurf::app
+
+template <>
+struct satsurf::EnumNames<satsurf::app::MeshKind> {
+  static constexpr std::array names{"tsdf", "none"};
+};
+
+namespace satsurf::app {
+
+/// What a surface depends on: a run's record repeats it, images included.
+struct ReconstructConfig {
+  std::vector<std::filesystem::path> images, image_dirs;
+  std::filesystem::path weights;  ///< empty for the shipped ones
+  OptionalPair height_range;      ///< m above the ellipsoid
+  double resolution = 0;          ///< m, 0 for the images' own
+  MeshKind mesh = MeshKind::tsdf;
+  double voxel = 0;  ///< of the mesh, m; 0 for two pixels on the ground
+
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("images", s.images,
+      Field{.help = "rasters or Sat-NeRF JSON files, two or more; all of them here or all in the "
+                    "file of --config",
+            .flag = "images",
+            .placeholder = "IMG"});
+    v("image_dirs", s.image_dirs,
+      Field{.help = "where else to look for the images JSON files name",
+            .flag = "--image-dir",
+            .placeholder = "DIR"});
+    v("weights", s.weights,
+      Field{.help = "network weights", .automatic = "the shipped ones, or SATSURF_WEIGHTS"});
+    v("height_range", s.height_range,
+      Field{.help = "heights above the ellipsoid to search",
+            .unit = "m",
+            .min = -12000,
+            .max = 10000,
+            .automatic = "from metadata, else found",
+            .flag = "--height-range",
+            .placeholder = "LOW HIGH"});
+    v("resolution", s.resolution,
+      Field{.help = "cell of the surface",
+            .unit = "m",
+            .min = 0.01,
+            .max = 1000,
+            .automatic = "size of a pixel on the ground"});
+    v("mesh", s.mesh,
+      Field{.help = "how to make mesh.ply: of the fused heights of all views, or not at all"});
+    v("voxel", s.voxel,
+      Field{.help = "detail of the mesh",
+            .unit = "m",
+            .min = 0.01,
+            .max = 1000,
+            .automatic = "two pixels on the ground"});
+  }
+};
+
+/// What `reconstruct` is asked.
+struct ReconstructCommand : ReconstructConfig {
+  std::filesystem::path out, config_file;  ///< config_file may be empty
+  bool overwrite = false;
+  bool dry_run = false;  ///< only say what would be done; `out` may be empty
+
+  /// Of the options those that are no configuration.
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("out", s.out,
+      Field{.help = "folder to make (required unless --dry-run or --print-config)",
+            .placeholder = "DIR"});
+    v("overwrite", s.overwrite,
+      Field{.help = "replace what an earlier run left in that folder", .flag = "--overwrite"});
+    v("dry_run", s.dry_run,
+      Field{.help = "read everything, say ground, cells, tiles and memory, write nothing",
+            .flag = "--dry-run"});
+  }
+};
+
+/// The files in its folder.
+inline std::vector<WrittenFile> written_by_reconstruct() {
+  return {{"dsm.tif", "heights above the WGS84 ellipsoid, m, Float32, UTM, nodata -9999"},
+          {"confidence.tif",
+           "confidence of the surface, 0 to 1, on the same grid, Float32, nodata -9999"},
+          {"surfels.ply",
+           "the surface as Gaussian surfels in a local metric frame, which the header names"},
+          {"mesh.ply", "the surface as triangles with colours, in the same frame; see --mesh"},
+          {"height.png", "picture of the heights, dark low and bright high"},
+          {"hillshade.png", "picture of the surface lit from the north-west"},
+          {"confidence.png", "picture of the confidence, dark low and bright high"},
+          {"views/NAME_source.png", "every image, as the network sees it"},
+          {"views/NAME_render.png", "the surface rendered into its camera"},
+          {"run.json", "the record of the run"}};
+}
+
+/// The `results` of its record.
+inline std::vector<WrittenFile> told_by_reconstruct() {
+  return {{"completeness", "share of the cells of the images' common ground that have a height"},
+          {"cells", "rows and columns"},
+          {"resolution", "side of a cell, m"},
+          {"crs", "EPSG code of the UTM zone"},
+          {"vertical_datum", "of the heights"},
+          {"height_range", "lowest and highest height that were searched, m above the ellipsoid"},
+          {"height_range_source", "where it came from"},
+          {"lowest, highest", "of the surface, m above the ellipsoid"},
+          {"mean_confidence", "0 to 1"},
+          {"surfels", "how many"},
+          {"tiles", "in how many parts the work was done"},
+          {"camera_fit_max_px", "how well the cameras were fitted, px"},
+          {"planned_memory_bytes", "what the plan foresaw"},
+          {"memory_by_part", "of each part of the work: part, bytes, planned_bytes"},
+          {"mesh", "voxel (m), vertices, faces, seconds; null without one"},
+          {"reconstruct_seconds", "how long the surface took without reading and writing"}};
+}
+
+}  // namespace satsurf::app
