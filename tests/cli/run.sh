@@ -384,7 +384,7 @@ refuses "a registered picture" 2 "evaluate --image: --register came, expected on
 refuses "LPIPS of a mesh" 2 "evaluate --mesh: --lpips-weights came, expected only with --data or --image$" \
   "$satsurf" evaluate --mesh out/mesh.ply --reference-mesh out/mesh.ply --lpips_weights $weights
 refuses "another kind of mesh" 2 "--mesh.*poisson" "$satsurf" reconstruct "${images[@]}" --out no --mesh poisson
-refuses "voxels of nothing" 2 "--voxel.*0, expected a number from 0.01" "$satsurf" reconstruct "${images[@]}" --out no --voxel 0
+refuses "voxels of nothing" 2 "--voxel is .0., expected a number from 0.01" "$satsurf" reconstruct "${images[@]}" --out no --voxel 0
 refuses "a picture and a surface" 2 "--image excludes --dsm|--dsm excludes --image" \
   "$satsurf" evaluate --image out/height.png --reference out/height.png --dsm $truth --truth $truth
 refuses "no output folder" 2 "--out" "$satsurf" reconstruct "${images[@]}" --weights $weights
