@@ -8,6 +8,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/evaluate/evaluate.h"
+#include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 
 #include <cmath>

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/fields.h"
 #include "satsurf/evaluate/metrics.h"
 
 #include <filesystem>
