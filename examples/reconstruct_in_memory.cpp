@@ -21,7 +21,7 @@ scene::SimulatedScene made_up() {
   config.pixels = 256;
   config.gsd = 0.5;
   config.views = 3;
-  config.kinds = {"suburb"};
+  config.kinds = {scene::SceneKind::suburb};
   config.water = 0;
   return scene::simulate_scene(config, 2026, 0);
 }

@@ -22,7 +22,7 @@ scene::Scene made_up(Index number) {
   config.pixels = 96;
   config.gsd = 0.5;
   config.views = 4;
-  config.kinds = {"village"};
+  config.kinds = {scene::SceneKind::village};
   config.relief_max = 10;
   const scene::SimulatedScene from = scene::simulate_scene(config, 7, number);
   scene::Scene to;

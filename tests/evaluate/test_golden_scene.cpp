@@ -30,7 +30,7 @@ TEST_CASE("the shipped weights on a made-up scene") {
   const test::TempFolder folder("golden-scene");
   scene::SimulateConfig config;
   config.pixels = 192, config.views = 3, config.gsd = 0.5, config.water = 0;
-  config.kinds = {"suburb"};
+  config.kinds = {scene::SceneKind::suburb};
   scene::write_scene(scene::simulate_scene(config, 5, 0), folder.path(), "SIM_001");
   const scene::Scene scene = scene::load_scene(folder.path(), "SIM_001");
   REQUIRE(scene.truth);
