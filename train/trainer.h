@@ -17,10 +17,9 @@ struct TrainConfig : TrainingSettings, LossConfig {
   std::string preset = "base8";  ///< starting point of `model` and of the losses
   nn::ModelConfig model;
   std::filesystem::path mono_weights;  ///< of the monocular branch, from `--task mono`; see `train`
-  std::filesystem::path
-      mono_found;             ///< the file where `mono_weights` is empty; no field, not recorded
-  Index views = 3;            ///< source views per sample; one more is the target
-  double range_jitter = 0.2;  ///< random widening of the height range, share of its span
+  std::filesystem::path mono_found;    ///< the file where that is empty; no field, not recorded
+  Index views = 3;                     ///< source views per sample; one more is the target
+  double range_jitter = 0.2;           ///< random widening of the height range, share of its span
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
