@@ -100,7 +100,8 @@ TEST_CASE("record: holds what a run depended on") {
     keys.push_back(key);
   }
   std::vector<std::string> written;
-  for (const auto& [key, value] : record.json().items()) written.push_back(key);
+  const nlohmann::ordered_json again = record.json();
+  for (const auto& [key, value] : again.items()) written.push_back(key);
   CHECK(written == keys);
 
   CHECK(load_config(folder / "out/run.json", "train") == nlohmann::json{{"lr", 0.5}});
