@@ -200,7 +200,7 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
   std::array<float, kNames.size()> row{};
   bytes.reserve(bytes.size() + static_cast<std::size_t>(P) * sizeof(row));
   for (Index p = 0; p < P; ++p) {
-    const auto at = [&](const Var& v, Index n, Index i) { return v.value()[p * n + i]; };
+    const auto at = [&](const Var& v, Index n, Index i) -> double { return v.value()[p * n + i]; };
     const auto put = [&](std::size_t property, double v) {
       if (!std::isfinite(v))
         fail(std::string("property ") + kNames[property] + " of surfel " + std::to_string(p) +
