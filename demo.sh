@@ -18,9 +18,17 @@ echo
 echo "Against the true surface:"
 $satsurf evaluate --dsm $out/surface/dsm.tif --truth $truth --seen-by "${images[@]}" --json $out/scores.json \
   --error-map $out/error.png --overwrite
+# image, heights, hillshade and errors side by side
+views=("$out"/surface/views/SIM_001_*_source.png)
+panels=()
+for picture in "${views[0]}" $out/surface/height.png $out/surface/hillshade.png $out/error.png; do
+  panels+=("$picture" --ch 0,1,2 --fit:pad=1 480x480)
+done
+oiiotool "${panels[@]}" --mosaic:pad=8 4x1 --attrib CompressionQuality 85 -o $out/strip.jpg
 cat <<END
 
 Pictures:
+  $PWD/$out/strip.jpg               image, heights, hillshade and errors side by side
   $PWD/$out/surface/height.png      heights in colour
   $PWD/$out/surface/hillshade.png   the surface lit from the north-west
   $PWD/$out/surface/confidence.png  how sure the network is
