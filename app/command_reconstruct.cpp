@@ -194,7 +194,7 @@ rpc::HeightRange heights_found(const reconstruct::Reconstruction& made, double h
   if (known.empty()) {
     std::string names;
     for (const fs::path& file : images) names += (names.empty() ? "" : ", ") + file.string();
-    throw Error("reconstruct: no cell of the surface got a height from " + names +
+    throw Error("no cell of the surface got a height from " + names +
                 ", expected images that agree; see satsurf info");
   }
   const auto [low, high] = std::minmax_element(known.begin(), known.end());

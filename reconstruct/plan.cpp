@@ -51,7 +51,7 @@ Ground common_ground(const scene::Scene& scene, double z) {
                 std::max(common.x1, x + dx / 2), std::max(common.y1, y + dy / 2)};
     }
   if (!(common.width() > 0))
-    throw Error("reconstruct: no two images see the same ground, expected overlapping views");
+    throw Error("no two images see the same ground, expected overlapping views");
   return common;
 }
 
@@ -171,11 +171,11 @@ void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {
   const double held = static_cast<double>(tensor_bytes());
   if (plan.memory_bytes - held <= available) return;
   const auto times = [](Index a, Index b) { return std::to_string(a) + " x " + std::to_string(b); };
-  throw Error("reconstruct: " + std::to_string(scene.views.size()) + " windows of " +
+  throw Error(std::to_string(scene.views.size()) + " windows of " +
               times(plan.window, plan.window) + " px and a surface of " +
               times(plan.width, plan.height) + " cells need about " +
               memory_text(plan.memory_bytes) + " of memory, expected " + memory_text(available) +
-              " at most; give smaller images or a coarser --resolution");
+              " at most; give smaller images or a coarser resolution");
 }
 
 Index views_containing(const scene::Scene& scene, const std::array<double, 3>& p_in_local) {

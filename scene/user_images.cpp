@@ -86,7 +86,7 @@ void check_wanted(const rpc::HeightRange& wanted, const std::vector<View>& views
     if (common > 0 && (common >= 0.5 * wanted.span() ||
                        (wanted.low >= box.low - kSlack && wanted.high <= box.high + kSlack)))
       continue;
-    throw ConfigError("--height-range: " + span_text(wanted) +
+    throw ConfigError("height range: " + span_text(wanted) +
                       ", expected heights that the camera of " + v.label() + " is made for, " +
                       span_text(box));
   }
@@ -101,8 +101,7 @@ void check_parallax(const View& a, const View& b, const rpc::UtmZone& zone,
   if (px >= kLeast) return;
   char text[32];
   std::snprintf(text, sizeof text, "%.2g px/m", px);
-  throw Error("reconstruct: " + a.label() + " and " + b.label() +
-              " are seen from one direction (parallax " + text +
+  throw Error(a.label() + " and " + b.label() + " are seen from one direction (parallax " + text +
               "), expected different ones; leave one of them out");
 }
 
@@ -156,7 +155,7 @@ std::vector<Polygon> footprints(const std::vector<View>& views, const rpc::UtmZo
     const rpc::Geodetic c = centre_of(view, range);
     const double dlon = std::remainder(c.lon - centre.lon, 360), dlat = c.lat - centre.lat;
     if (std::hypot(dlon * std::cos(centre.lat * M_PI / 180), dlat) > 3)
-      throw Error("reconstruct: " + views[0].label() + " and " + view.label() +
+      throw Error(views[0].label() + " and " + view.label() +
                   " do not overlap on the ground, expected images of one place");
     ground.push_back(
         footprint(view.rpc, view.width(), view.height(), zone, height_of(view, range)));
@@ -174,13 +173,12 @@ std::vector<Polygon> footprints(const std::vector<View>& views, const rpc::UtmZo
     if (const auto h = height_of_overlap(a, b, zone)) {
       char near[32];
       std::snprintf(near, sizeof near, "%.0f m", *h);
-      throw ConfigError("--height-range: " + span_text(*wanted) + ", but " + a.label() + " and " +
+      throw ConfigError("height range: " + span_text(*wanted) + ", but " + a.label() + " and " +
                         b.label() + " see no common ground at these heights (they do at " + near +
                         "), expected the heights of the ground");
     }
   const auto centre_a = polygon_centroid(ground_a), centre_b = polygon_centroid(ground_b);
-  throw Error("reconstruct: " + a.label() + " and " + b.label() +
-              " do not overlap on the ground (centres " +
+  throw Error(a.label() + " and " + b.label() + " do not overlap on the ground (centres " +
               kilometres(std::hypot(centre_a[0] - centre_b[0], centre_a[1] - centre_b[1])) +
               " apart), expected images of one place");
 }
@@ -204,7 +202,7 @@ void check_height_range(const rpc::HeightRange& wanted) {
   if (wanted.span() >= kLeastSpan) return;
   char text[120];
   std::snprintf(text, sizeof text,
-                "--height-range: %.10g %.10g, expected the lower height first and a span of at "
+                "height range: %.10g %.10g, expected the lower height first and a span of at "
                 "least %g m",
                 wanted.low, wanted.high, kLeastSpan);
   throw ConfigError(text);
@@ -224,9 +222,9 @@ void ViewList::add(const rpc::Image& image, const std::string& name, const fs::p
 
 UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
                           const std::function<void()>& poll) && {
-  if (views_.empty()) throw Error("reconstruct: no image, expected two or more");
+  if (views_.empty()) throw Error("no image, expected two or more");
   if (views_.size() == 1)
-    throw Error("reconstruct: " + views_[0].label() + " is the only image, expected two or more");
+    throw Error(views_[0].label() + " is the only image, expected two or more");
   UserScene out;
   Scene& scene = out.scene;
   out.range = choose_range(wanted, named_, views_);
@@ -242,9 +240,9 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
   const auto origin = polygon_centroid(common.empty() ? ground[0] : common);
   scene.frame.easting0 = std::round(origin[0]), scene.frame.northing0 = std::round(origin[1]);
   if (!first.has_span())  // after the overlap: images of two places seldom share a range either
-    throw Error("reconstruct: " + scene.views[0].label() +
+    throw Error(scene.views[0].label() +
                 " and the others: cameras for different heights, expected a range "
-                "they share; give --height-range");
+                "they share; give a height range");
   scene.frame.h0 = std::round(first.middle());
   scene.name = scene.views[0].name;
 
@@ -263,7 +261,7 @@ UserScene scene_from_views(const std::vector<fs::path>& files,
                            const std::optional<rpc::HeightRange>& wanted,
                            const std::function<void()>& poll) {
   if (files.size() == 1)  // before it is read
-    throw Error("reconstruct: " + files[0].string() + " is the only image, expected two or more");
+    throw Error(files[0].string() + " is the only image, expected two or more");
   ViewList views;
   for (const fs::path& file : files) {
     if (poll) poll();

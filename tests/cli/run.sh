@@ -367,7 +367,7 @@ refuses "unknown task" 2 "task.*mini.*surface, mono" "$satsurf" train --data dat
 refuses "a flag of another task" 2 "task mono: --views" "$satsurf" train --data data --out no --task mono --views 3
 refuses "a flag of the other task" 2 "task surface: --batch" "$satsurf" train --data data --out no --batch 3
 refuses "crop that does not fit mono" 2 "crop is 48, expected a multiple of 32" "$satsurf" train --data data --out no --task mono --crop 48
-refuses "heights the wrong way round" 2 "height-range" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 50 10
+refuses "heights the wrong way round" 2 "height.range" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 50 10
 refuses "unknown registration" 2 "register is .xy., expected one of none, z, xyz" "$satsurf" evaluate --dsm $truth --truth $truth --register xy
 refuses "a picture without a reference" 2 "--reference" "$satsurf" evaluate --image out/height.png
 refuses "a mesh without a reference" 2 "--reference-mesh" "$satsurf" evaluate --mesh out/mesh.ply
@@ -390,9 +390,9 @@ refuses "a picture and a surface" 2 "--image excludes --dsm|--dsm excludes --ima
 refuses "no output folder" 2 "--out" "$satsurf" reconstruct "${images[@]}" --weights $weights
 
 refuses "a resolution that is no number" 2 "resolution.*nan" "$satsurf" reconstruct "${images[@]}" --out no --resolution nan
-refuses "heights that are no number" 2 "height-range.*nan" "$satsurf" reconstruct "${images[@]}" --out no --height-range 0 nan
-refuses "heights without a span" 2 "height-range.*at least 1 m" "$satsurf" reconstruct "${images[@]}" --out no --height-range 20 20.001
-refuses "heights of no camera" 2 "height-range.*SIM_001_001_RGB.tif" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 8000 8100 --quiet
+refuses "heights that are no number" 2 "height.range.*nan" "$satsurf" reconstruct "${images[@]}" --out no --height-range 0 nan
+refuses "heights without a span" 2 "height.range.*at least 1 m" "$satsurf" reconstruct "${images[@]}" --out no --height-range 20 20.001
+refuses "heights of no camera" 2 "height.range.*SIM_001_001_RGB.tif" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 8000 8100 --quiet
 refuses "angles at odds" 2 "off_nadir_min_deg is 40.*10 of off_nadir_max_deg" "$satsurf" simulate --out no --off_nadir_min_deg 40 --off_nadir_max_deg 10
 refuses "parallax at odds" 2 "parallax_min is 50" "$satsurf" simulate --out no --parallax_min 50 --parallax_max 60
 echo '{"lr": NaN}' >nan.json

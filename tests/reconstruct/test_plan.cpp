@@ -125,6 +125,5 @@ TEST_CASE("views of different places are refused") {
   scene::Scene scene = small_scene(2);
   scene.views[1].rpc.lon_off += 0.01;  // a kilometre
   CHECK_THROWS_WITH_AS(plan_reconstruction(nn::model_preset("tiny"), scene, {}),
-                       "reconstruct: no two images see the same ground, expected overlapping views",
-                       Error);
+                       "no two images see the same ground, expected overlapping views", Error);
 }

@@ -112,12 +112,12 @@ TEST_CASE("images in memory that do not fit are refused by name") {
                        "scene_from_images: view_0: no valid pixel, expected an image", Error);
   images[0].valid = {};
   CHECK_THROWS_WITH_AS(scene::scene_from_images(images, rpc::HeightRange{40, 20}),
-                       "--height-range: 40 20, expected the lower height first and a span of at "
+                       "height range: 40 20, expected the lower height first and a span of at "
                        "least 1 m",
                        ConfigError);
   images.resize(1);
   CHECK_THROWS_WITH_AS(scene::scene_from_images(images),
-                       "reconstruct: view_0 is the only image, expected two or more", Error);
+                       "view_0 is the only image, expected two or more", Error);
 }
 
 TEST_CASE("a caller's own exception cancels a reconstruction") {

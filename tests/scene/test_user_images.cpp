@@ -123,20 +123,19 @@ TEST_CASE("scene_from_views") {
     CHECK(scene_from_views({a, again}, {}, rpc::HeightRange{0, 40}).scene.views[1].name == "a_2");
   }
   SUBCASE("refusals name the files") {
-    CHECK(refusal({a}) ==
-          "reconstruct: " + a.string() + " is the only image, expected two or more");
-    CHECK(refusal({}) == "reconstruct: no image, expected two or more");
+    CHECK(refusal({a}) == a.string() + " is the only image, expected two or more");
+    CHECK(refusal({}) == "no image, expected two or more");
     CHECK(
         refusal({a, b, a}) ==
-        "reconstruct: " + a.string() + " and " + a.string() +
+        a.string() + " and " + a.string() +
             " are seen from one direction (parallax 0 px/m), expected different ones; leave one of "
             "them out");
     const fs::path near = folder.image("near.tif", camera(60, 40, 0.5, 20.01));  // 1.1 km east
     CHECK(refusal({a, b, near}) ==
-          "reconstruct: " + a.string() + " and " + near.string() +
+          a.string() + " and " + near.string() +
               " do not overlap on the ground (centres 1.1 km apart), expected images of one place");
     const fs::path far = folder.image("far.tif", camera(60, 40, 0.5, -100));
-    CHECK(refusal({a, far}) == "reconstruct: " + a.string() + " and " + far.string() +
+    CHECK(refusal({a, far}) == a.string() + " and " + far.string() +
                                    " do not overlap on the ground, expected images of one place");
   }
   SUBCASE("images in which nothing can be found again") {
@@ -153,7 +152,7 @@ TEST_CASE("scene_from_views") {
   SUBCASE("a wanted range is one of the cameras") {  // which are made for -80 to 120 m
     const auto told = [&](double low, double high) { return refusal({a, b}, {low, high}); };
     CHECK(told(-100, 200) == "accepted");
-    CHECK(told(200, 300) == "--height-range: 200 to 300 m, expected heights that the camera of " +
+    CHECK(told(200, 300) == "height range: 200 to 300 m, expected heights that the camera of " +
                                 a.string() + " is made for, -80 to 120 m");
     CHECK(told(-80, 1000).ends_with("is made for, -80 to 120 m"));
     // 100 m up, images of 20 m that part by half a pixel a metre have nothing in common
@@ -164,11 +163,11 @@ TEST_CASE("scene_from_views") {
     rpc::Rpc high = camera(60, 40, 0.5);  // the same ground, told to lie at 4000 m
     high.height_off = 4000;
     const fs::path c = folder.image("c.tif", high);
-    CHECK_THROWS_WITH_AS(scene_from_views({a, c}, {}, {}),
-                         ("reconstruct: " + a.string() +
-                          " and the others: cameras for different heights, expected a range "
-                          "they share; give --height-range")
-                             .c_str(),
-                         Error);
+    CHECK_THROWS_WITH_AS(
+        scene_from_views({a, c}, {}, {}),
+        (a.string() + " and the others: cameras for different heights, expected a range "
+                      "they share; give a height range")
+            .c_str(),
+        Error);
   }
 }
