@@ -10,6 +10,7 @@ set(satsurf_internal_headers
   "/mesh/sampled_view\\.h$"
   "/scene/(ray_walk|satnerf)\\.h$"
   "/scene/simulate/(city|layout|noise|orbit|render)\\.h$"
-  "/reconstruct/trust\\.h$")
+  "/reconstruct/trust\\.h$"
+  "/evaluate/score_views\\.h$")
 # Of the readers' room the engine has the cameras alone.
 set(satsurf_reader_headers "/rpc/(raster|read)\\.h$")

@@ -97,6 +97,9 @@ std::vector<WrittenFile> told_by_evaluate() {
       {"mean_scenes", "how many scenes a mean is over, where that is fewer than all"},
       {"scenes", "the numbers scene by scene, grouped as in dsm.registered.mae"},
       {"lpips_backbone", "alex, squeeze or vgg; null without --lpips-weights"},
+      {"scenes.causes",
+       "of --data: the errors by cause, see the columns cause_*; without those that are not known "
+       "of a scene"},
       {"confidence.mvs_source, confidence.dsm",
        "pixels, the bins equal_width and equal_count, and monotone: whether the mean error falls "
        "from each bin of the latter kind to the next, of three at least"},

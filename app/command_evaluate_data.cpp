@@ -113,6 +113,33 @@ void print_meshes(Means& mean) {
   }
 }
 
+/// Where the error is: means over the scenes that have such cells, without rows that none has.
+void print_causes(const nlohmann::ordered_json& table) {
+  const auto mean = [&](const std::string& name) {
+    const auto& value = table["mean"][name];
+    return value.is_null() ? std::nan("") : value.get<double>();
+  };
+  const std::size_t all = table["scenes"].size();
+  const auto scenes = [&](const std::string& name) {
+    return table["mean_scenes"].value(name, all);
+  };
+  std::printf("\n%-16s%9s%12s%12s%10s%10s%8s\n", "DSM, filled", "cells", "MAE m", "median m",
+              "<2.5 m", "of error", "scenes");
+  for (const char* name : EnumNames<evaluate::Cause>::names) {
+    const std::string group = std::string("cause_") + name;
+    if (!(mean(group + "_cells") > 0)) continue;
+    std::printf(
+        "%-16s%s  %s  %s%s%s%8zu\n", name, cell(8, 1, 100 * mean(group + "_share"), "%").c_str(),
+        cell(9, 3, mean(group + "_mae")).c_str(), cell(9, 3, mean(group + "_median")).c_str(),
+        cell(8, 1, 100 * mean(group + "_pag2.5"), "%").c_str(),
+        cell(8, 1, 100 * mean(group + "_error_share"), "%").c_str(), scenes(group + "_mae"));
+  }
+  std::printf("%-16s  %s\n", "oracle", cell(19, 3, mean("oracle_mae")).c_str());
+  std::printf("lost pixels     %s by stage 1, %s by stage 2\n",
+              cell(8, 2, 100 * mean("lost_stage1"), "%").c_str(),
+              cell(1, 2, 100 * mean("lost_stage2"), "%").c_str());
+}
+
 /// How the error depends on the confidence, in a line.
 void print_confidence(const char* title, const evaluate::ConfidenceErrors& errors) {
   const std::vector<evaluate::ConfidenceBin> bins = errors.equal_count();
@@ -169,6 +196,7 @@ void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput&
   print_mean(mean, enum_name(options.registration));
   print_meshes(mean);
   mean.print_fewer();
+  print_causes(table);
   if (lpips)
     std::printf("LPIPS by %s\n", nn::lpips_backbone_name(lpips->backbone()));
   else

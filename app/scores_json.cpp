@@ -37,6 +37,22 @@ nlohmann::ordered_json by_registration(const evaluate::SceneScores& s) {
   return out;
 }
 
+/// Of the causes that are known of a scene.
+nlohmann::ordered_json causes_json(const evaluate::CauseScores& causes) {
+  auto out = nlohmann::ordered_json::object();
+  for (std::size_t k = 0; k < causes.size(); ++k) {
+    const evaluate::CauseScore& c = causes[k];
+    if (std::isnan(c.cells)) continue;
+    out[EnumNames<evaluate::Cause>::names[k]] = {{"cells", c.cells},
+                                                 {"share", json_number(c.share)},
+                                                 {"mae", json_number(c.mae)},
+                                                 {"median", json_number(c.median)},
+                                                 {"pag2.5", json_number(c.pag2_5)},
+                                                 {"error_share", json_number(c.error_share)}};
+  }
+  return out;
+}
+
 }  // namespace
 
 nlohmann::ordered_json scores_json(const evaluate::HeightScores& s) {
@@ -93,6 +109,9 @@ nlohmann::ordered_json scores_json(const std::vector<evaluate::SceneScores>& sco
         {{"name", s.name},
          {"dsm", scores_json(s.dsm)},
          {"dsm_by_registration", by_registration(s)},
+         {"causes", causes_json(s.causes)},
+         {"oracle_mae", json_number(s.oracle_mae)},
+         {"lost", {{"stage1", json_number(s.lost[0])}, {"stage2", json_number(s.lost[1])}}},
          {"mvs_source", scores_json(s.mvs_source)},
          {"mvs_source_rmse_per_view", json_number(s.mvs_source_rmse_per_view)},
          {"render_target", scores_json(s.render_target)},

@@ -5,63 +5,43 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/var.h"
 #include "satsurf/evaluate/fill.h"
+#include "satsurf/evaluate/score_views.h"
 #include "satsurf/mesh/surface.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
-#include "satsurf/splat/view.h"
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
 #include <string>
 
 namespace satsurf::evaluate {
 namespace {
 
-constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-constexpr float kWaterClass = 9;  // of DFC2019
-
-/// Whether a pixel shows more surface than background.
-bool covers(float alpha) { return !(alpha < 0.5f); }
-
-/// Joins maps of one width below each other, so that several views are scored as one.
-Tensor stacked(const std::vector<Tensor>& maps) {
-  Index rows = 0;
-  for (const Tensor& m : maps) rows += m.dim(0);
-  auto out = Tensor::uninitialised({rows, maps[0].dim(1)});
-  float* to = out.data();
-  for (const Tensor& m : maps) to = std::copy_n(m.data(), m.count(), to);
-  return out;
+/// The causes of the truth's cells.
+/// images  the sources, whole, with the cameras that were fitted to them
+CauseFlags causes_of(const scene::Scene& scene, const std::vector<nn::PosedImage>& images) {
+  std::vector<LitView> views;
+  for (std::size_t i = 0; i < images.size(); ++i)
+    views.push_back({images[i], slope_to_sun(scene.views[i], scene.frame)});
+  return find_causes(*scene.truth, scene.classes, views);
 }
 
-/// Local z of the truth in the middle of its grid, or of the height range where it is unknown
-/// there.
-double middle_height(const scene::Scene& scene) {
-  const Tensor& z = scene.truth->z;
-  const float v = z[z.dim(0) / 2 * z.dim(1) + z.dim(1) / 2];
-  return std::isfinite(v) ? static_cast<double>(v) : scene.z_range.middle();
-}
-
-Tensor difference(const Tensor& a, const Tensor& b) {
-  Tensor out = a.clone();
-  for (Index i = 0; i < out.count(); ++i) out[i] -= b[i];
-  return out;
-}
-
-/// The DSM by every registration, as it is and with its holes filled.
+/// The DSM by every registration, as it is and with its holes filled, and what its errors come from.
 void score_dsm(const reconstruct::Reconstruction& made, const scene::HeightField& truth,
-               const Tensor& mask, Registration asked, SceneScores& out,
+               const Tensor& mask, const CauseFlags& causes, Registration asked, SceneScores& out,
                ConfidenceScores* confidence) {
   for (const Registration r : {Registration::none, Registration::z, Registration::xyz}) {
     const DsmComparison c = compare_dsm(made.dsm, truth, r, mask, false);
-    RegisteredScores& scores = out.registered[static_cast<std::size_t>(r)];
-    scores = {c.registered, score_heights(filled(c.surface), truth.z, mask), c.shift};
-    if (r == asked) out.dsm = c;
+    const Tensor whole = filled(c.surface);
+    out.registered[static_cast<std::size_t>(r)] = {c.registered,
+                                                   score_heights(whole, truth.z, mask), c.shift};
+    if (r == asked) out.dsm = c, out.causes = score_causes(whole, truth.z, mask, causes);
   }
+  out.oracle_mae = oracle_error(made.surfels.means.value(), out.dsm.shift, truth, mask);
   if (confidence != nullptr) {
     const scene::HeightField sure{made.confidence, made.dsm.x0 + out.dsm.shift[0],
                                   made.dsm.y0 + out.dsm.shift[1], made.dsm.step};
@@ -91,60 +71,6 @@ Tensor scored_cells(const scene::Scene& scene, const std::vector<scene::View>& v
   return mask;
 }
 
-/// Heights and colours in the source views and the rendered target, in a window around the middle
-/// of the truth.
-void score_views(const nn::Model& model, const scene::Scene& scene, const EvaluateOptions& options,
-                 const std::vector<Index>& sources, SceneScores& out,
-                 ConfidenceScores* confidence) {
-  const Index multiple = nn::size_multiple(model.config());
-  Index side = options.window;
-  for (const scene::View& v : scene.views) side = std::min({side, v.height(), v.width()});
-  side = std::max(multiple, side / multiple * multiple);
-  const bool has_target = scene.views.size() > sources.size();
-  if (has_target && options.lpips != nullptr && side < options.lpips->smallest_side())
-    throw IoError(scene.images.string() + ": a window of " + std::to_string(side) + " px in " +
-                  scene.name + ", expected at least " +
-                  std::to_string(options.lpips->smallest_side()) + " px for LPIPS (" +
-                  nn::lpips_backbone_name(options.lpips->backbone()) + ")");
-  const scene::HeightField& truth = *scene.truth;
-  const double x = truth.x0 + truth.step * static_cast<double>(truth.z.dim(1)) / 2;
-  const double y = truth.y0 - truth.step * static_cast<double>(truth.z.dim(0)) / 2;
-  scene::CropOptions window{.sources = sources,
-                            .centre = {x, y, middle_height(scene)},
-                            .size = side,
-                            .z_range = scene.z_range,
-                            .with_truth = true};
-  if (has_target) window.target = static_cast<Index>(sources.size());
-  const scene::Crop crop = scene::make_crop(scene, window);
-  const auto stages = model.forward(crop.input);
-  const Tensor sure = nn::effective_confidence(model.config(), stages[2]);
-  std::vector<Tensor> found, known;
-  double rmse = 0, scored = 0;
-  for (std::size_t i = 0; i < sources.size(); ++i) {
-    found.push_back(stages[2].height.value().slice0(static_cast<Index>(i)));
-    known.push_back(crop.source_truth[2][i].clone());
-    for (Index p = 0; p < known[i].count(); ++p)
-      if (crop.input.sources[i].valid[p] <= 0) known[i][p] = kNan;  // no image, nothing to find
-    const double of_view = score_heights(found[i], known[i]).rmse;
-    if (std::isfinite(of_view)) rmse += of_view, scored += 1;
-    if (confidence != nullptr)
-      confidence->mvs_source.add(sure.slice0(static_cast<Index>(i)),
-                                 difference(found[i], known[i]));
-  }
-  out.mvs_source = score_heights(stacked(found), stacked(known));
-  out.mvs_source_rmse_per_view = scored > 0 ? rmse / scored : std::nan("");
-  if (!has_target) return;
-
-  const auto render =
-      splat::render_view(stages[2].surfels, crop.target->pixel_from_local, side, side, 1);
-  Tensor height = render.height.value().clone(), mask = crop.target->valid.clone();
-  for (Index p = 0; p < height.count(); ++p)
-    if (!covers(render.alpha.value()[p])) height[p] = kNan, mask[p] = 0;
-  out.target_covered = covered_share(render.alpha.value(), crop.target->valid);
-  out.render_target = score_heights(height, crop.target_truth, crop.target->valid);
-  out.target = score_images(render.colour.value(), crop.target->rgb, mask, options.lpips);
-}
-
 }  // namespace
 
 Tensor not_water(const Tensor& classes) {
@@ -171,14 +97,6 @@ Tensor seen_by_two(const scene::HeightField& truth, const rpc::LocalFrame& frame
     }
   });
   return mask;
-}
-
-double covered_share(const Tensor& alpha, const Tensor& valid) {
-  Dims("covered_share").match("alpha", alpha, "H W").match("valid", valid, "H W");
-  Index all = 0, covered = 0;
-  for (Index p = 0; p < valid.count(); ++p)
-    if (valid[p] > 0) all += 1, covered += covers(alpha[p]);
-  return all > 0 ? static_cast<double>(covered) / static_cast<double>(all) : std::nan("");
 }
 
 std::optional<mesh::MeshComparison> compare_surfaces(const splat::Surfels& surfels,
@@ -256,7 +174,8 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
   how.progress = options.progress;
   const reconstruct::Reconstruction made = reconstruct::reconstruct(model, seen, how);
   out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  score_dsm(made, *scene.truth, mask, options.registration, out, confidence);
+  score_dsm(made, *scene.truth, mask, causes_of(seen, made.images), options.registration, out,
+            confidence);
   if (options.meshes) {
     std::vector<nn::PosedImage> images = made.images;
     for (std::size_t i = images.size(); i < scene.views.size(); ++i)
@@ -264,9 +183,6 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
     out.mesh =
         compare_surfaces(made.surfels, *scene.truth, images, mask, out.dsm.shift, made.voxel);
   }
-  out.render_target = score_heights(Tensor({1, 1}, kNan), Tensor({1, 1}, kNan));  // none so far
-  out.target.psnr = out.target.psnr_fitted = std::nan("");
-  out.target.ssim = out.target.ssim_conv = out.target_covered = std::nan("");
   score_views(model, scene, options, sources, out, confidence);
   return out;
 }

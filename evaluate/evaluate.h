@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/evaluate/causes.h"
 #include "satsurf/evaluate/confidence.h"
 #include "satsurf/evaluate/image_metrics.h"
 #include "satsurf/evaluate/metrics.h"
@@ -97,6 +98,12 @@ struct SceneScores {
   /// many over a data set. Where nothing was reconstructed every cell is missing.
   DsmComparison dsm;
   std::array<RegisteredScores, 3> registered;  ///< the same by each Registration: none, z, xyz
+  /// Errors by cause: of the DSM registered as asked, its holes filled.
+  CauseScores causes;
+  /// See `oracle_error`: what the best choice among the surfels that make the DSM would leave, m.
+  double oracle_mae = CauseScore::kNone;
+  /// See `lost_by_stage`, in the window in which views are scored.
+  std::array<double, 2> lost{CauseScore::kNone, CauseScore::kNone};
   HeightScores mvs_source;  ///< last-stage network heights of the source views, all pixels pooled
   double mvs_source_rmse_per_view = 0;  ///< the same RMSE view by view, then averaged, m
   HeightScores render_target;           ///< heights rendered in the target view

@@ -46,6 +46,22 @@ void add_mesh(TableRow& row, const std::string& group, const mesh::SurfaceScores
     row.push_back({group + name, f.f1});
 }
 
+constexpr std::array kCauseNames = EnumNames<Cause>::names;
+
+void add_causes(TableRow& row, const CauseScores& causes) {
+  for (std::size_t k = 0; k < kCauses; ++k) {
+    const std::string group = std::string("cause_") + kCauseNames[k];
+    const CauseScore& s = causes[k];
+    for (const auto& [name, value] : {std::pair<const char*, double>{"_cells", s.cells},
+                                      {"_share", s.share},
+                                      {"_mae", s.mae},
+                                      {"_median", s.median},
+                                      {"_pag2.5", s.pag2_5},
+                                      {"_error_share", s.error_share}})
+      row.push_back({group + name, value});
+  }
+}
+
 /// A cell of CSV, in quotes where it has to be.
 std::string csv_cell(const std::string& text) {
   if (text.find_first_of(",\"\r\n") == std::string::npos) return text;
@@ -72,6 +88,10 @@ TableRow row_of(const SceneScores& s) {
     add_heights(row, std::string("dsm_filled_") + kNames[k], s.registered[k].filled);
   add_mesh(row, "mesh", s.mesh ? s.mesh->all : none_compared());
   add_mesh(row, "mesh_without_walls", s.mesh ? s.mesh->without_walls : none_compared());
+  add_causes(row, s.causes);
+  row.push_back({"oracle_mae", s.oracle_mae});
+  row.push_back({"lost_stage1", s.lost[0]});
+  row.push_back({"lost_stage2", s.lost[1]});
   row.push_back({"mvs_source_rmse_per_view", s.mvs_source_rmse_per_view});
   row.push_back({"render_target_psnr", s.target.psnr});
   row.push_back({"render_target_psnr_fitted", s.target.psnr_fitted});
@@ -101,7 +121,30 @@ const std::vector<std::pair<std::string, std::string>>& table_groups() {
       {"mesh",
        "a mesh of the heights that the surfels show in all views, against that of the truth; none "
        "with --no-meshes"},
-      {"mesh_without_walls", "the same without the parts of either that are steep"}};
+      {"mesh_without_walls", "the same without the parts of either that are steep"},
+      {"cause_hidden",
+       "the filled surface after what --register takes out, as in all groups of causes; cells "
+       "whose true point one of the source views that contain it does not see"},
+      {"cause_seen_by_one", "cells whose true point no more than one of them sees"},
+      {"cause_shadow",
+       "cells in cast shadow in one of them; none if no view says where the sun stood"},
+      {"cause_roof_small",
+       "buildings below 400 m², more than two cells from their rim; like all groups by class none "
+       "without a class raster"},
+      {"cause_roof_medium", "the same of buildings of 400 to 2000 m²"},
+      {"cause_roof_large", "the same of buildings above 2000 m²"},
+      {"cause_rim",
+       "the two cells on either side of a step of more than 2 m between neighbours of the truth"},
+      {"cause_tree", "cells of class 5"},
+      {"cause_open_ground", "cells of class 2 that are neither hidden nor in shadow nor at a rim"},
+      {"cause_water", "cells of class 9, with --keep-water"},
+      {"cause_other", "cells in none of the groups of causes before"},
+      {"oracle",
+       "in each cell the best of all surfels that lie in it, then filled: no fusion of them does "
+       "better"},
+      {"lost",
+       "pixels of the source views with known truth: the share that the search can no longer "
+       "find"}};
   return groups;
 }
 
@@ -126,6 +169,14 @@ std::vector<TableColumn> table_columns() {
       Number{"east", "m", "shift that was added to the prediction, eastwards"},
       Number{"north", "m", "shift that was added, northwards"},
       Number{"up", "m", "shift that was added, upwards"},
+      Number{"cells", "cells", "cells that count and belong to the group"},
+      Number{"share", "share", "those of all cells that count"},
+      Number{
+          "error_share", "share",
+          "what they carry of the sum of all absolute errors; cells may belong to several groups"},
+      Number{"stage1", "share",
+             "whose true height lies outside the window that the stage after the first covers"},
+      Number{"stage2", "share", "the same of the last stage"},
       Number{"chamfer", "m", "mean of the two distances that follow"},
       Number{"to_reference", "m", "mean distance of the mesh from the reference"},
       Number{"reference_to_mesh", "m", "mean distance of the reference from the mesh"},

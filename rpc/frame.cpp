@@ -179,6 +179,12 @@ HeightRange LocalFrame::heights_from_z(const HeightRange& z_range) const {
   return {z_range.low + h0, z_range.high + h0};
 }
 
+double grid_convergence_deg(const LocalFrame& frame, const Geodetic& at) {
+  const auto a = frame.local_from_geodetic(at);
+  const auto b = frame.local_from_geodetic({.lon = at.lon, .lat = at.lat + 1e-4, .h = at.h});
+  return -std::atan2(b[0] - a[0], b[1] - a[1]) / kRadian;
+}
+
 PixelJacobian pixel_jacobian(const Rpc& camera, const LocalFrame& frame,
                              const std::array<double, 3>& p_in_local) {
   const PixelJacobian by_geodetic = camera.jacobian(frame.geodetic_from_local(p_in_local));

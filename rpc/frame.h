@@ -56,6 +56,10 @@ struct LocalFrame {
   friend bool operator==(const LocalFrame&, const LocalFrame&) = default;
 };
 
+/// Angle of the grid's north at a position, degrees clockwise from true north: an azimuth against
+/// the grid is that against true north minus it.
+double grid_convergence_deg(const LocalFrame& frame, const Geodetic& at);
+
 /// Derivatives of a pixel by a point of a local frame, [x, y][x, y, z], px per m.
 /// camera      of the image
 /// frame       of the point

@@ -101,13 +101,6 @@ rpc::Geodetic draw_place(Rng& rng) {
           .h = rng.chance(0.5) ? rng.uniform(-40, 150) : rng.uniform(-40, 1500)};
 }
 
-// Angle of grid north, counted clockwise from true north.
-double convergence_deg(const rpc::LocalFrame& frame, const rpc::Geodetic& at) {
-  const auto a = frame.local_from_geodetic(at);
-  const auto b = frame.local_from_geodetic({.lon = at.lon, .lat = at.lat + 1e-4, .h = at.h});
-  return -std::atan2(b[0] - a[0], b[1] - a[1]) / kRadians;
-}
-
 struct Bounds {
   double x_low = 1e300, x_high = -1e300, y_low = 1e300, y_high = -1e300;
   void include(const std::array<double, 3>& p) {
@@ -229,7 +222,7 @@ SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, 
   scene.h_min = scene.frame.h0 + columns.low();
   scene.h_max = scene.frame.h0 + columns.high();
 
-  const double turn = convergence_deg(scene.frame, place);
+  const double turn = rpc::grid_convergence_deg(scene.frame, place);
   LitCity lit;
   int date = -1;
   for (std::size_t v = 0; v < scene.views.size(); ++v) {
