@@ -83,10 +83,11 @@ struct CauseFlags {
 /// truth    in the local frame
 /// classes  [H W] on the truth's grid; empty: roofs, trees, open ground and water are not known
 /// views    the sources; shadow is not known unless one of them says where the sun stood
+/// mask     [H W], zero where a cell does not count: it has no cause; empty for all
 /// throws   ShapeError
-/// cost     two rays per known cell and view
+/// cost     two rays per cell that counts and view
 CauseFlags find_causes(const scene::HeightField& truth, const Tensor& classes,
-                       const std::vector<LitView>& views);
+                       const std::vector<LitView>& views, const Tensor& mask = {});
 
 /// The errors of the cells that have a cause. All NaN where the cause is not known.
 struct CauseScore {

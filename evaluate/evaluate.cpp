@@ -21,13 +21,14 @@
 namespace satsurf::evaluate {
 namespace {
 
-/// The causes of the truth's cells.
+/// The causes of the truth's cells that count.
 /// images  the sources, whole, with the cameras that were fitted to them
-CauseFlags causes_of(const scene::Scene& scene, const std::vector<nn::PosedImage>& images) {
+CauseFlags causes_of(const scene::Scene& scene, const std::vector<nn::PosedImage>& images,
+                     const Tensor& mask) {
   std::vector<LitView> views;
   for (std::size_t i = 0; i < images.size(); ++i)
     views.push_back({images[i], slope_to_sun(scene.views[i], scene.frame)});
-  return find_causes(*scene.truth, scene.classes, views);
+  return find_causes(*scene.truth, scene.classes, views, mask);
 }
 
 /// The DSM by every registration, as it is and with its holes filled, and what its errors come from.
@@ -174,7 +175,7 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
   how.progress = options.progress;
   const reconstruct::Reconstruction made = reconstruct::reconstruct(model, seen, how);
   out.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  score_dsm(made, *scene.truth, mask, causes_of(seen, made.images), options.registration, out,
+  score_dsm(made, *scene.truth, mask, causes_of(seen, made.images, mask), options.registration, out,
             confidence);
   if (options.meshes) {
     std::vector<nn::PosedImage> images = made.images;

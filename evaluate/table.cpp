@@ -140,8 +140,9 @@ const std::vector<std::pair<std::string, std::string>>& table_groups() {
       {"cause_water", "cells of class 9, with --keep-water"},
       {"cause_other", "cells in none of the groups of causes before"},
       {"oracle",
-       "in each cell the best of all surfels that lie in it, then filled: no fusion of them does "
-       "better"},
+       "in each cell the best of all surfels that lie in it, then filled: a bound of what fusing "
+       "them "
+       "can reach"},
       {"lost",
        "pixels of the source views with known truth: the share that the search can no longer "
        "find"}};

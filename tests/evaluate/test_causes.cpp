@@ -177,6 +177,16 @@ TEST_CASE("causes: rim, roof and ground") {
   CHECK(count(flags, Cause::open_ground) == 1600 - 64 - (64 + 80 + 76 - 48));
   CHECK(count(flags, Cause::tree) == 0);
   CHECK(count(flags, Cause::other) == 0);
+
+  // cells that do not count have none, and still are in the way of those that do
+  Tensor south_east({kSide, kSide});
+  for (Index i = 20; i < kSide; ++i)
+    for (Index j = 20; j < kSide; ++j) south_east[i * kSide + j] = 1;
+  const CauseFlags part =
+      find_causes(truth, box_classes(), {looking(0.5, south), looking(-0.3)}, south_east);
+  for (std::size_t k = 0; k < part.cells.size(); ++k)
+    CHECK(part.cells[k] == (south_east[static_cast<Index>(k)] > 0 ? flags.cells[k] : 0));
+  CHECK(count(part, Cause::hidden) == 4 * 5);
 }
 
 TEST_CASE("causes: roofs by the size of the building") {
