@@ -134,7 +134,8 @@ void print_causes(const nlohmann::ordered_json& table) {
         cell(8, 1, 100 * mean(group + "_pag2.5"), "%").c_str(),
         cell(8, 1, 100 * mean(group + "_error_share"), "%").c_str(), scenes(group + "_mae"));
   }
-  std::printf("%-16s  %s\n", "oracle", cell(19, 3, mean("oracle_mae")).c_str());
+  std::printf("%-16s%s  %s\n", "oracle", cell(8, 1, 100 * mean("oracle_share"), "%").c_str(),
+              cell(9, 3, mean("oracle_mae")).c_str());
   std::printf("lost pixels     %s by stage 1, %s by stage 2\n",
               cell(8, 2, 100 * mean("lost_stage1"), "%").c_str(),
               cell(1, 2, 100 * mean("lost_stage2"), "%").c_str());

@@ -110,7 +110,7 @@ nlohmann::ordered_json scores_json(const std::vector<evaluate::SceneScores>& sco
          {"dsm", scores_json(s.dsm)},
          {"dsm_by_registration", by_registration(s)},
          {"causes", causes_json(s.causes)},
-         {"oracle_mae", json_number(s.oracle_mae)},
+         {"oracle", {{"share", json_number(s.oracle.share)}, {"mae", json_number(s.oracle.mae)}}},
          {"lost", {{"stage1", json_number(s.lost[0])}, {"stage2", json_number(s.lost[1])}}},
          {"mvs_source", scores_json(s.mvs_source)},
          {"mvs_source_rmse_per_view", json_number(s.mvs_source_rmse_per_view)},

@@ -158,16 +158,13 @@ class SightLines {
     const double up = columns_.high() - z, down = columns_.low() - z;
     Index contain = 0, see = 0;
     bool shaded = false;
-    std::optional<std::array<double, 2>> lit_from;
     for (const LitView& view : views_) {
       const nn::PosedImage& image = view.image;
       const auto q = image.pixel_from_local(x, y, z);
       if (!rpc::inside_image({q[0], q[1]}, image.rgb.dim(2), image.rgb.dim(1))) continue;
       ++contain;
       see += in_sight || seen(view.image, q, row, col, {x, y, z});
-      if (sunlit || shaded || !view.to_sun || view.to_sun == lit_from)
-        continue;  // views of one pass share it
-      lit_from = view.to_sun;
+      if (sunlit || shaded || !view.to_sun) continue;
       const auto [east, north] = *view.to_sun;
       shaded =
           !reached(row, col, {x + up * east, y + up * north}, {x + down * east, y + down * north});
@@ -336,8 +333,8 @@ CauseScores score_causes(const Tensor& surface, const Tensor& truth, const Tenso
   return out;
 }
 
-double oracle_error(const Tensor& means, const std::array<double, 3>& shift,
-                    const scene::HeightField& truth, const Tensor& mask) {
+OracleScore score_oracle(const Tensor& means, const std::array<double, 3>& shift,
+                         const scene::HeightField& truth, const Tensor& mask) {
   const Index H = truth.z.dim(0), W = truth.z.dim(1);
   Tensor best({H, W}, kNan);
   for (Index p = 0; p < means.dim(0); ++p) {
@@ -353,7 +350,8 @@ double oracle_error(const Tensor& means, const std::array<double, 3>& shift,
     // where the truth is not known any height will do, for a hole beside it may be filled from it
     if (!(std::abs(best[k] - truth.z[k]) <= std::abs(z - truth.z[k]))) best[k] = z;
   }
-  return score_heights(filled(best), truth.z, mask).mae;
+  return {score_heights(best, truth.z, mask).completeness,
+          score_heights(filled(best), truth.z, mask).mae};
 }
 
 std::array<double, 2> lost_by_stage(const std::array<nn::StageOutput<float>, 3>& stages,

@@ -85,7 +85,7 @@ struct CauseFlags {
 /// views    the sources; shadow is not known unless one of them says where the sun stood
 /// mask     [H W], zero where a cell does not count: it has no cause; empty for all
 /// throws   ShapeError
-/// cost     two rays per cell that counts and view
+/// cost     at most two rays per view of a cell that counts
 CauseFlags find_causes(const scene::HeightField& truth, const Tensor& classes,
                        const std::vector<LitView>& views, const Tensor& mask = {});
 
@@ -108,16 +108,20 @@ using CauseScores = std::array<CauseScore, kCauses>;
 CauseScores score_causes(const Tensor& surface, const Tensor& truth, const Tensor& mask,
                          const CauseFlags& flags);
 
-/// Mean absolute error of the best surface that could be chosen from a set of heights: in every cell
-/// the one nearest to the truth of all points whose centre lies in it, holes filled. No fusion that
-/// picks from these points does better, but for the holes.
+/// The best surface that could be chosen from a set of heights.
+struct OracleScore {
+  double share = CauseScore::kNone;  ///< of the cells that count: those in which a point lies
+  double mae = CauseScore::kNone;    ///< mean absolute error, holes filled, m
+};
+/// In every cell the height nearest to the truth of all points whose centre lies in it. No fusion
+/// that picks from these points does better there; where none lies it may.
 /// means    [P 3] the points, m
 /// shift    added to them: east, north, up, m
 /// truth    in their frame
 /// mask     [H W], zero where a cell does not count
-/// returns  m; NaN where no point lies on the grid
-double oracle_error(const Tensor& means, const std::array<double, 3>& shift,
-                    const scene::HeightField& truth, const Tensor& mask);
+/// returns  an error of NaN where no point lies on the grid
+OracleScore score_oracle(const Tensor& means, const std::array<double, 3>& shift,
+                         const scene::HeightField& truth, const Tensor& mask);
 
 /// Share of the source pixels whose true height lies outside the window that the next searching
 /// stage covers around them, half an interval beyond its first and last hypothesis. Whoever is lost

@@ -42,7 +42,7 @@ void score_dsm(const reconstruct::Reconstruction& made, const scene::HeightField
                                                    score_heights(whole, truth.z, mask), c.shift};
     if (r == asked) out.dsm = c, out.causes = score_causes(whole, truth.z, mask, causes);
   }
-  out.oracle_mae = oracle_error(made.surfels.means.value(), out.dsm.shift, truth, mask);
+  out.oracle = score_oracle(made.surfels.means.value(), out.dsm.shift, truth, mask);
   if (confidence != nullptr) {
     const scene::HeightField sure{made.confidence, made.dsm.x0 + out.dsm.shift[0],
                                   made.dsm.y0 + out.dsm.shift[1], made.dsm.step};

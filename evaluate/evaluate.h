@@ -100,8 +100,7 @@ struct SceneScores {
   std::array<RegisteredScores, 3> registered;  ///< the same by each Registration: none, z, xyz
   /// Errors by cause: of the DSM registered as asked, its holes filled.
   CauseScores causes;
-  /// See `oracle_error`: what the best choice among the surfels that make the DSM would leave, m.
-  double oracle_mae = CauseScore::kNone;
+  OracleScore oracle;  ///< the best choice among the surfels that make the DSM
   /// See `lost_by_stage`, in the window in which views are scored.
   std::array<double, 2> lost{CauseScore::kNone, CauseScore::kNone};
   HeightScores mvs_source;  ///< last-stage network heights of the source views, all pixels pooled

@@ -89,7 +89,8 @@ TableRow row_of(const SceneScores& s) {
   add_mesh(row, "mesh", s.mesh ? s.mesh->all : none_compared());
   add_mesh(row, "mesh_without_walls", s.mesh ? s.mesh->without_walls : none_compared());
   add_causes(row, s.causes);
-  row.push_back({"oracle_mae", s.oracle_mae});
+  row.push_back({"oracle_share", s.oracle.share});
+  row.push_back({"oracle_mae", s.oracle.mae});
   row.push_back({"lost_stage1", s.lost[0]});
   row.push_back({"lost_stage2", s.lost[1]});
   row.push_back({"mvs_source_rmse_per_view", s.mvs_source_rmse_per_view});
@@ -140,9 +141,8 @@ const std::vector<std::pair<std::string, std::string>>& table_groups() {
       {"cause_water", "cells of class 9, with --keep-water"},
       {"cause_other", "cells in none of the groups of causes before"},
       {"oracle",
-       "in each cell the best of all surfels that lie in it, then filled: a bound of what fusing "
-       "them "
-       "can reach"},
+       "the height nearest to the truth of all surfels whose centre lies in a cell, for the share "
+       "of cells that have one, then filled: no choice among surfels does better where they lie"},
       {"lost",
        "pixels of the source views with known truth: the share that the search can no longer "
        "find"}};

@@ -168,6 +168,7 @@ holds "the truth is right" grep -qE "raw +MAE +0.000 m" stdout
 succeeds "evaluate a data set" "$satsurf" evaluate --data data --weights $weights --json all.json --csv all.csv \
   --confidence-csv confidence.csv --confidence-figure confidence.svg --register z --quiet
 holds "it prints means" grep -qE "^DSM, filled +[0-9.]+ +[0-9.]+ +[0-9.]+%.* 100.0%$" stdout
+holds "it prints where the error is" grep -qE "^open_ground +[0-9.]+% +[0-9.]+ +-?[0-9.]+ +[0-9.]+% +[0-9.]+% +2$" stdout
 holds "it says why there is no LPIPS" grep -qE "^no LPIPS: no --lpips-weights given$" stdout
 holds "it says how the error goes with confidence" grep -qE "^Source views +MAE [0-9.]+ m at confidence [0-9.]+, .*fall" stdout
 succeeds "evaluate a data set, tables only, one thread" "$satsurf" evaluate --data data --weights $weights --csv only.csv \
@@ -178,10 +179,11 @@ holds "the same table" cmp <(untimed all.csv) <(untimed only.csv)
 holds "the same confidences" cmp confidence.csv only.confidence.csv
 holds "each row as many cells" test "$(awk -F, '{ print NF }' all.csv | sort -u | wc -l)" -eq 1
 for column in dsm_mae dsm_none_rmse dsm_z_pag2.5 dsm_xyz_completeness dsm_xyz_east dsm_filled_xyz_mae mvs_source_rmse \
-  mvs_source_rmse_per_view render_target_pag7.5 render_target_psnr render_target_ssim_conv render_target_lpips render_target_covered; do
+  mvs_source_rmse_per_view render_target_pag7.5 render_target_psnr render_target_ssim_conv render_target_lpips render_target_covered \
+  cause_hidden_share cause_rim_error_share oracle_mae lost_stage2; do
   holds "the table has $column" grep -qE "^scene,(.*,)?$column," all.csv
 done
-for key in dsm_by_registration holes_filled window mean_scenes render_target_ssim equal_width equal_count monotone; do
+for key in dsm_by_registration holes_filled causes open_ground lost window mean_scenes render_target_ssim equal_width equal_count monotone; do
   holds "the record has $key" grep -qF "\"$key\": " all.json
 done
 holds "ten bins of equal width each" test "$(grep -c ',equal_width,' confidence.csv)" -eq 20

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/scores_json.h"
+#include "satsurf/core/rng.h"
 #include "satsurf/evaluate/causes.h"
 #include "satsurf/evaluate/table.h"
 #include "satsurf/nn/hypotheses.h"
@@ -111,6 +112,43 @@ TEST_CASE("causes: what a box hides") {
   for (float& z : unknown.z.values())
     if (z > 0) z = kNan;
   CHECK(count(find_causes(unknown, {}, {west, east}), Cause::hidden) == 0);
+}
+
+TEST_CASE("causes: rays over a rough surface, against small steps along them") {
+  scene::HeightField truth{Tensor({48, 48}), -24, 24, 1};
+  Rng rng(5);
+  for (float& z : truth.z.values())
+    z = static_cast<float>(rng.uniform(0, 1) + (rng.chance(0.1) ? rng.uniform(2, 9) : 0));
+  const auto hidden_along = [&](Index row, Index col, double east, double north) {
+    const auto from = static_cast<double>(truth.z[row * 48 + col]);
+    for (double up = 0; from + up < 10; up += 0.002) {
+      const auto i = static_cast<Index>(std::floor(static_cast<double>(row) + 0.5 - north * up)),
+                 j = static_cast<Index>(std::floor(static_cast<double>(col) + 0.5 + east * up));
+      if (i < 0 || i >= 48 || j < 0 || j >= 48) return false;
+      if (static_cast<double>(truth.z[i * 48 + j]) > from + up) return true;
+    }
+    return false;
+  };
+  Index missed = 0, grazed = 0, hidden = 0, shaded = 0;
+  const auto compare = [&](float flag, bool met) {
+    missed += flag == 0 && met;
+    grazed += flag > 0 && !met;  // steps may pass over an edge that a ray grazes
+  };
+  for (const auto& [west, sun_east, sun_north] :
+       {std::array{0.5, 0.4, 0.3}, {-0.7, 1.1, -1.3}, {1.2, -0.2, 0.9}}) {
+    const CauseFlags flags =
+        find_causes(truth, {}, {looking(west, std::array{sun_east, sun_north})});
+    const Tensor hid = flags.of(Cause::hidden), dark = flags.of(Cause::shadow);
+    for (Index k = 0; k < hid.count(); ++k) {
+      compare(hid[k], hidden_along(k / 48, k % 48, -west, 0));
+      compare(dark[k], hidden_along(k / 48, k % 48, sun_east, sun_north));
+      hidden += hid[k] > 0, shaded += dark[k] > 0;
+    }
+  }
+  CHECK(hidden > 500);
+  CHECK(shaded > 500);
+  CHECK(missed == 0);
+  CHECK(grazed < 50);  // of 13824 rays
 }
 
 TEST_CASE("causes: shadow") {
@@ -287,7 +325,7 @@ TEST_CASE("causes: their scores") {
   for (const TableColumn& column : table_columns()) CHECK_FALSE(column.meaning.empty());
 }
 
-TEST_CASE("oracle_error: the best point of every cell") {
+TEST_CASE("score_oracle: the best point of every cell") {
   const scene::HeightField truth{Tensor::from({1, 3}, {10, 20, 30}), 0, 1, 1};
   const Tensor all({1, 3}, 1.f);
   const std::vector<float> points{0.5f, 0.5f, 13,    0.1f, 0.9f, 9,    // cell 0: best is 1 m off
@@ -295,17 +333,20 @@ TEST_CASE("oracle_error: the best point of every cell") {
                                   2.5f, 0.5f, 50,    2.9f, 0.1f, 33,   // 3 m
                                   3.5f, 0.5f, 30,    0.5f, 1.5f, 10};  // off the grid
   const Tensor means = Tensor::from({7, 3}, points);
-  CHECK(oracle_error(means, {0, 0, 0}, truth, all) == doctest::Approx(1.5));
-  CHECK(oracle_error(means, {0, 0, 0}, truth, Tensor::from({1, 3}, {1, 1, 0})) ==
+  CHECK(score_oracle(means, {0, 0, 0}, truth, all).mae == doctest::Approx(1.5));
+  CHECK(score_oracle(means, {0, 0, 0}, truth, Tensor::from({1, 3}, {1, 1, 0})).mae ==
         doctest::Approx(0.75));
-  CHECK(oracle_error(means, {0, 0, -3}, truth, all) == doctest::Approx((0 + 2.5 + 0) / 3));
+  CHECK(score_oracle(means, {0, 0, -3}, truth, all).mae == doctest::Approx((0 + 2.5 + 0) / 3));
   // 1 m west of the grid's own: each cell is told by what lay in the next, the last by 30 itself
-  CHECK(oracle_error(means, {-1, 0, 0}, truth, all) == doctest::Approx((10.5 + 13 + 0) / 3));
+  CHECK(score_oracle(means, {-1, 0, 0}, truth, all).mae == doctest::Approx((10.5 + 13 + 0) / 3));
   // the middle cell is filled: 9 and 33 count alike there
   const Tensor fewer = Tensor::from({4, 3}, {0.5f, 0.5f, 13, 0.1f, 0.9f, 9,  //
                                              2.5f, 0.5f, 50, 2.9f, 0.1f, 33});
-  CHECK(oracle_error(fewer, {0, 0, 0}, truth, all) == doctest::Approx((1 + 1 + 3) / 3.0));
-  CHECK(std::isnan(oracle_error(fewer, {100, 0, 0}, truth, all)));
+  CHECK(score_oracle(fewer, {0, 0, 0}, truth, all).mae == doctest::Approx((1 + 1 + 3) / 3.0));
+  CHECK(std::isnan(score_oracle(fewer, {100, 0, 0}, truth, all).mae));
+  CHECK(score_oracle(fewer, {100, 0, 0}, truth, all).share == 0);
+  CHECK(score_oracle(means, {0, 0, 0}, truth, all).share == 1);
+  CHECK(score_oracle(fewer, {0, 0, 0}, truth, all).share == doctest::Approx(2.0 / 3));
 }
 
 TEST_CASE("lost_by_stage: true heights outside the next window") {

@@ -146,7 +146,7 @@ TEST_CASE("scores of a data set") {
   const auto rows = lines_of(csv);
   REQUIRE(rows.size() == 4);
   const std::vector<std::string> names = cells_of(rows[0]);
-  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 2 * 6 + kCauses * 6 + 3 + 8);
+  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 2 * 6 + kCauses * 6 + 4 + 8);
   for (const std::string& row : rows) CHECK(cells_of(row).size() == names.size());
   REQUIRE(j["mean"].size() == names.size() - 1);
   Index column = 1;
@@ -372,6 +372,21 @@ TEST_CASE("a scene's scores") {
   CHECK(s.target_covered > 0);
   CHECK(s.target_covered <= 1);
   CHECK(s.dsm.error.empty());  // scores only
+  // causes are of the filled surface, registered as asked, and the flags of the sources alone
+  double share = 0, error_share = 0;
+  for (const Cause cause : {Cause::rim, Cause::open_ground, Cause::hidden, Cause::shadow}) {
+    const CauseScore& c = s.causes[static_cast<std::size_t>(cause)];
+    REQUIRE(c.cells > 0);
+    CHECK(c.share == doctest::Approx(c.cells / static_cast<double>(z.filled.truth)));
+    CHECK(c.error_share == doctest::Approx(c.share * c.mae / z.filled.mae));
+    share += c.share, error_share += c.error_share;
+  }
+  CHECK(share > 0.5);
+  CHECK(error_share > 0.5);
+  CHECK(s.causes[static_cast<std::size_t>(Cause::water)].cells == 0);  // masked out
+  CHECK(s.oracle.mae > 0);
+  CHECK(s.oracle.mae < z.filled.mae);
+  for (const double lost : s.lost) CHECK((lost >= 0 && lost < 1));
   REQUIRE(s.mesh);
   CHECK(s.mesh->without_walls.mesh_samples < s.mesh->all.mesh_samples);
   {  // meshes are compared after the DSM's shift, above the DSM's cells
@@ -403,6 +418,9 @@ TEST_CASE("a scene's scores") {
   CHECK(j["scenes"][0]["mesh"]["recall"]["1"] == s.mesh->all.f[1].recall);
   CHECK(j["lpips_backbone"] == "alex");
   CHECK(j["mean"]["render_target_lpips"] == *s.target.lpips);
+  CHECK(j["scenes"][0]["causes"]["rim"]["mae"] == j["mean"]["cause_rim_mae"]);
+  CHECK(j["scenes"][0]["lost"]["stage2"] == j["mean"]["lost_stage2"]);
+  CHECK(j["scenes"][0]["oracle"]["mae"] == s.oracle.mae);
   for (const char* of : {"mvs_source", "dsm"}) {
     CHECK(j["confidence"][of]["equal_width"].size() == 10);
     CHECK(j["confidence"][of]["monotone"].is_boolean());
