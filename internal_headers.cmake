@@ -11,6 +11,6 @@ set(satsurf_internal_headers
   "/scene/(ray_walk|satnerf)\\.h$"
   "/scene/simulate/(city|layout|noise|orbit|render)\\.h$"
   "/reconstruct/trust\\.h$"
-  "/evaluate/score_views\\.h$")
+  "/evaluate/(score_views|sight_lines)\\.h$")
 # Of the readers' room the engine has the cameras alone.
 set(satsurf_reader_headers "/rpc/(raster|read)\\.h$")

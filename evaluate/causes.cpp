@@ -5,7 +5,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/evaluate/fill.h"
 #include "satsurf/evaluate/metrics.h"
-#include "satsurf/scene/ray_walk.h"
+#include "satsurf/evaluate/sight_lines.h"
 
 #include <algorithm>
 #include <cmath>
@@ -86,138 +86,14 @@ std::vector<Index> region_sizes(const Marks& marks, Index H, Index W) {
   return sizes;
 }
 
-/// Heights from which a straight line out of a cell's centre meets no other cell, whatever its
-/// direction: none rises above a cone around it. Spares most of the rays.
-/// z        [H W] m, all known
-/// step     of the grid, m
-/// slope    m that lines run at most for each they rise
-/// returns  [H W] m
-Tensor clear_heights(const Tensor& z, double step, double slope) {
-  const Index H = z.dim(0), W = z.dim(1), pitch = W + 2;
-  const auto rise = static_cast<float>(step / slope);  // of a line over a cell, at least
-  // highest at each cell of the cones below all others, with a margin of one cell around the grid
-  Tensor cones({H + 2, pitch}, -std::numeric_limits<float>::infinity());
-  const auto row = [&](Index i) { return cones.data() + (i + 1) * pitch + 1; };
-  for (Index i = 0; i < H; ++i) std::copy_n(z.data() + i * W, W, row(i));
-  // each cell takes from the neighbours before it, downwards, then upwards from the others
-  const auto raise = [&](float* own, const float* before) {
-    for (Index j = 0; j < W; ++j)
-      own[j] = std::max(own[j], std::max({before[j - 1], before[j], before[j + 1]}) - rise);
-  };
-  for (Index i = 0; i < H; ++i) {
-    raise(row(i), row(i - 1));
-    for (Index j = 0; j < W; ++j) row(i)[j] = std::max(row(i)[j], row(i)[j - 1] - rise);
-  }
-  for (Index i = H; i-- > 0;) {
-    raise(row(i), row(i + 1));
-    for (Index j = W; j-- > 0;) row(i)[j] = std::max(row(i)[j], row(i)[j + 1] - rise);
-  }
-  auto out = Tensor::uninitialised({H, W});
-  for_range(H, 16, [&](Index begin, Index end) {
-    for (Index i = begin; i < end; ++i) {
-      const float *above = row(i - 1), *own = row(i), *below = row(i + 1);
-      for (Index j = 0; j < W; ++j)  // from the centre the next cell is half a cell away
-        out[i * W + j] = std::max({above[j - 1], above[j], above[j + 1], own[j - 1], own[j + 1],
-                                   below[j - 1], below[j], below[j + 1]}) -
-                         0.5f * rise;
-    }
-  });
-  return out;
+/// The causes that rays tell.
+std::uint16_t causes_of(const Sight& sight) {
+  std::uint16_t flags = 0;
+  if (sight.see < sight.contain) flags |= bit(Cause::hidden);
+  if (sight.see < sight.contain && sight.see <= 1) flags |= bit(Cause::seen_by_one);
+  if (sight.shaded) flags |= bit(Cause::shadow);
+  return flags;
 }
-
-/// What cameras and the sun see of the true surface.
-class SightLines {
- public:
-  /// The truth and the views must outlive this object.
-  SightLines(const scene::HeightField& truth, const std::vector<LitView>& views)
-      : truth_(truth), views_(views), solid_(known_only(truth)), columns_(solid_) {
-    double rays = 0, light = 0;
-    for (const LitView& view : views) {
-      const Tensor& image = view.image.rgb;
-      for (const Index x : {Index{0}, image.dim(2)})
-        for (const Index y : {Index{0}, image.dim(1)}) {
-          const auto j = view.image.local_from_pixel.jacobian(
-              static_cast<double>(x), static_cast<double>(y), columns_.high());
-          rays = std::max(rays, std::hypot(j[0][2], j[1][2]));
-        }
-      if (view.to_sun) light = std::max(light, std::hypot((*view.to_sun)[0], (*view.to_sun)[1]));
-    }
-    constexpr double kMargin = 1.01;  // rays of one image differ by less
-    clear_of_rays_ = clear_heights(solid_.z, truth.step, kMargin * rays);
-    clear_of_light_ = clear_heights(solid_.z, truth.step, kMargin * light);
-  }
-
-  /// Those causes of a known cell that rays tell.
-  std::uint16_t causes(Index row, Index col) const {
-    const Index k = row * truth_.z.dim(1) + col;
-    const bool in_sight = truth_.z[k] >= clear_of_rays_[k],
-               sunlit = truth_.z[k] >= clear_of_light_[k];
-    const double z = static_cast<double>(truth_.z[k]),
-                 x = truth_.x0 + (static_cast<double>(col) + 0.5) * truth_.step,
-                 y = truth_.y0 - (static_cast<double>(row) + 0.5) * truth_.step;
-    const double up = columns_.high() - z, down = columns_.low() - z;
-    Index contain = 0, see = 0;
-    bool shaded = false;
-    for (const LitView& view : views_) {
-      const nn::PosedImage& image = view.image;
-      const auto q = image.pixel_from_local(x, y, z);
-      if (!rpc::inside_image({q[0], q[1]}, image.rgb.dim(2), image.rgb.dim(1))) continue;
-      ++contain;
-      see += in_sight || seen(view.image, q, row, col, {x, y, z});
-      if (sunlit || shaded || !view.to_sun) continue;
-      const auto [east, north] = *view.to_sun;
-      shaded =
-          !reached(row, col, {x + up * east, y + up * north}, {x + down * east, y + down * north});
-    }
-    std::uint16_t flags = 0;
-    if (see < contain) flags |= bit(Cause::hidden);
-    if (see < contain && see <= 1) flags |= bit(Cause::seen_by_one);
-    if (shaded) flags |= bit(Cause::shadow);
-    return flags;
-  }
-
-  bool empty() const { return columns_.empty(); }
-
- private:
-  /// The surface with its unknown cells too low to be in the way.
-  static scene::HeightField known_only(const scene::HeightField& truth) {
-    scene::HeightField out = truth;
-    out.z = truth.z.clone();
-    float low = std::numeric_limits<float>::infinity();
-    for (const float z : truth.z.values()) low = z < low ? z : low;
-    for (float& z : out.z.values())
-      if (!std::isfinite(z)) z = std::isfinite(low) ? low : kNan;
-    return out;
-  }
-
-  /// Whether a camera sees the middle of a cell.
-  /// q  its pixel
-  /// p  the point, local m
-  bool seen(const nn::PosedImage& image, const std::array<double, 2>& q, Index row, Index col,
-            const std::array<double, 3>& p) const {
-    // the camera's two maps are inverse to each other but for the residuals of their fits; the ray
-    // goes through the point all the same
-    const auto at = image.local_from_pixel(q[0], q[1], p[2]),
-               top = image.local_from_pixel(q[0], q[1], columns_.high()),
-               bottom = image.local_from_pixel(q[0], q[1], columns_.low());
-    return reached(row, col, {p[0] + top[0] - at[0], p[1] + top[1] - at[1]},
-                   {p[0] + bottom[0] - at[0], p[1] + bottom[1] - at[1]});
-  }
-
-  /// Whether a straight line from above, given at the surface's highest and lowest height, meets
-  /// the surface in this cell first.
-  bool reached(Index row, Index col, const std::array<double, 2>& top,
-               const std::array<double, 2>& bottom) const {
-    const auto hit = columns_.walk(top[0], top[1], bottom[0], bottom[1]);
-    return hit.row == row && hit.col == col;
-  }
-
-  const scene::HeightField& truth_;
-  const std::vector<LitView>& views_;
-  scene::HeightField solid_;
-  scene::ColumnField columns_;
-  Tensor clear_of_rays_, clear_of_light_;
-};
 
 /// Adds what the classes say. Those of rays and rims are known by now.
 void add_classes(const Tensor& classes, double cell_area, CauseFlags& flags) {
@@ -289,7 +165,7 @@ CauseFlags find_causes(const scene::HeightField& truth, const Tensor& classes,
       for (Index k = begin * W; k < end * W; ++k) {
         std::uint16_t& cell = flags.cells[static_cast<std::size_t>(k)];
         if (std::isfinite(truth.z[k]) && (mask.empty() || mask[k] != 0))
-          cell = lines.causes(k / W, k % W);
+          cell = causes_of(lines.at(k / W, k % W));
         if (rim[static_cast<std::size_t>(k)] != 0) cell |= bit(Cause::rim);
       }
     });
