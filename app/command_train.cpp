@@ -42,8 +42,9 @@ struct TrainOptions {
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
     v("data", s.data,
-      Field{.help = "data set: what simulate writes, DFC2019 Track 3, EOGS or Sat-NeRF (required "
-                    "unless --print-config)",
+      Field{.help =
+                "data set: what simulate writes, DFC2019 Track 3, EOGS or Sat-NeRF; without one "
+                "scenes are made up while the training runs (--task surface)",
             .placeholder = "DIR"});
     v("out", s.out,
       Field{
@@ -122,10 +123,11 @@ void run_train(const TrainOptions& options) {
                             : OutputFolder::staged(options.out, options.overwrite, inputs));
   Progress progress;
   train::StepReport last;
-  scene::list_scenes(options.data);  // a wrong folder is told before its files are read
+  if (!options.data.empty())
+    scene::list_scenes(options.data);  // a wrong folder is told before its files are read
   RunRecord record("train", std::visit([](const auto& c) { return to_json(c); }, config),
                    options.seed);
-  record.add_input(options.data);
+  if (!options.data.empty()) record.add_input(options.data);
   for (const fs::path& file : weights) record.add_input(file);
   if (!options.resume)
     record.save(folder / "run.json");  // marks the folder as a run from the start
@@ -241,7 +243,8 @@ void add_train(Program& program) {
       return [options] {
         std::visit([](const auto& config) { print_config(config); }, options->config);
       };
-    Flags::require("--data", options->data);
+    if (std::holds_alternative<train::MonoTrainConfig>(options->config))
+      Flags::require("--data", options->data);
     Flags::require("--out", options->out);
     return [options] { run_train(*options); };
   });

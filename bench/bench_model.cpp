@@ -147,7 +147,7 @@ void mono_infer(benchmark::State& state) {
 void features_infer(benchmark::State& state) {
   const nn::ModelConfig config = nn::model_preset("cascade8");
   nn::ParameterSet<float> parameters(1);
-  const nn::FeatureNet<float> features(parameters, config.base);
+  const nn::FeatureNet<float> features(parameters, {.base = config.base});
   const Index N = state.range(0), side = state.range(1);
   const Var images = normal({N, 3, side, side});
   const NoGrad no_grad;

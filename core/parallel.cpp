@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <memory>
 #include <mutex>
+#include <utility>
 
 #include <tbb/info.h>
 #include <tbb/parallel_for.h>
@@ -13,7 +14,6 @@
 #include <atomic>
 #include <exception>
 #include <thread>
-#include <utility>
 #include <vector>
 #endif
 
@@ -22,6 +22,8 @@ namespace {
 
 std::mutex arena_mutex;
 std::shared_ptr<tbb::task_arena> arena;  // empty: the caller's own arena
+
+thread_local bool on_one_thread = false;
 
 std::shared_ptr<tbb::task_arena> current_arena() {
   const std::lock_guard lock(arena_mutex);
@@ -57,6 +59,9 @@ void run_on_plain_threads(Index pieces, const std::function<void(Index)>& piece,
 
 }  // namespace
 
+OnOneThread::OnOneThread() : before_(std::exchange(on_one_thread, true)) {}
+OnOneThread::~OnOneThread() { on_one_thread = before_; }
+
 void set_threads(int threads) {
   const std::lock_guard lock(arena_mutex);
   // TBB has no more workers than cores and would complain about a larger request.
@@ -65,11 +70,16 @@ void set_threads(int threads) {
 }
 
 int threads() {
+  if (on_one_thread) return 1;
   const auto a = current_arena();
   return a ? a->max_concurrency() : tbb::this_task_arena::max_concurrency();
 }
 
 void detail::run_pieces(Index pieces, const std::function<void(Index)>& piece) {
+  if (on_one_thread) {
+    for (Index p = 0; p < pieces; ++p) piece(p);
+    return;
+  }
 #if defined(__SANITIZE_THREAD__)
   run_on_plain_threads(pieces, piece, threads());
 #else

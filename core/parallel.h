@@ -15,6 +15,19 @@ void set_threads(int threads);
 /// Threads in use now (the cap, or what the caller's TBB arena offers).
 int threads();
 
+/// Loops that the calling thread starts while one of these lives run on that thread alone: for
+/// work that is parallel at a coarser level.
+class OnOneThread {
+ public:
+  OnOneThread();
+  ~OnOneThread();
+  OnOneThread(const OnOneThread&) = delete;
+  OnOneThread& operator=(const OnOneThread&) = delete;
+
+ private:
+  bool before_;
+};
+
 namespace detail {
 void run_pieces(Index pieces, const std::function<void(Index)>& piece);
 }

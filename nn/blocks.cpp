@@ -56,9 +56,9 @@ ConvNorm2d<T>::ConvNorm2d(ParameterSet<T>& p, const std::string& name, Index in,
       activation(act) {}
 
 template <class T>
-Normalised<T> ConvNorm2d<T>::operator()(const Normalised<T>& x) const {
+Normalised<T> ConvNorm2d<T>::apply(const Normalised<T>& x, const BasicVar<T>& weights) const {
   ChannelMoments moments;
-  const auto y = conv2d(x, weight, {}, options, &moments);
+  const auto y = conv2d(x, weights, {}, options, &moments);
   return normalised(y, gamma, beta, activation, moments);
 }
 
@@ -71,9 +71,9 @@ ConvNorm3d<T>::ConvNorm3d(ParameterSet<T>& p, const std::string& name, Index in,
       options{{stride, stride, stride}, {1, 1, 1}} {}
 
 template <class T>
-Normalised<T> ConvNorm3d<T>::operator()(const Normalised<T>& x) const {
+Normalised<T> ConvNorm3d<T>::apply(const Normalised<T>& x, const BasicVar<T>& weights) const {
   ChannelMoments moments;
-  const auto y = conv3d(x, weight, {}, options, &moments);
+  const auto y = conv3d(x, weights, {}, options, &moments);
   return normalised(y, gamma, beta, Activation::relu, moments);
 }
 

@@ -34,7 +34,9 @@ struct ConvNorm2d {
   Activation activation;
   ConvNorm2d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index kernel,
              Index stride, Activation act);
-  Normalised<T> operator()(const Normalised<T>& x) const;
+  Normalised<T> operator()(const Normalised<T>& x) const { return apply(x, weight); }
+  /// With other weights than its own, such as for further channels.
+  Normalised<T> apply(const Normalised<T>& x, const BasicVar<T>& weights) const;
 };
 
 /// 3D convolution (3 x 3 x 3), GroupNorm and ReLU, on volumes [B C D H W].
@@ -43,7 +45,9 @@ struct ConvNorm3d {
   BasicVar<T> weight, gamma, beta;
   Conv3dOptions options;
   ConvNorm3d(ParameterSet<T>& p, const std::string& name, Index in, Index out, Index stride);
-  Normalised<T> operator()(const Normalised<T>& x) const;
+  Normalised<T> operator()(const Normalised<T>& x) const { return apply(x, weight); }
+  /// With other weights than its own, such as for further channels.
+  Normalised<T> apply(const Normalised<T>& x, const BasicVar<T>& weights) const;
 };
 
 /// Transposed 3D convolution that doubles every axis, GroupNorm and ReLU, on volumes [B C D H W].

@@ -15,6 +15,18 @@ enum class Context {
   reference  ///< the reference view's features
 };
 
+/// Which height a stage makes of its distribution.
+enum class HeightOf {
+  mean,  ///< the expectation, as published
+  mode   ///< the expectation near the most probable height (ops/mode_height.h)
+};
+
+/// Around what a stage searches, from the coarser heights of the stage before.
+enum class Centre {
+  bilinear,  ///< between roof and ground at a wall
+  nearest    ///< on one of both
+};
+
 /// Which way surfels face.
 enum class Rotation {
   camera,    ///< all towards the camera
@@ -72,6 +84,14 @@ namespace satsurf {
 template <>
 struct EnumNames<nn::Context> {
   static constexpr std::array names{"none", "reference"};
+};
+template <>
+struct EnumNames<nn::HeightOf> {
+  static constexpr std::array names{"mean", "mode"};
+};
+template <>
+struct EnumNames<nn::Centre> {
+  static constexpr std::array names{"bilinear", "nearest"};
 };
 template <>
 struct EnumNames<nn::Rotation> {

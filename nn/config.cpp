@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/config.h"
 
+#include <algorithm>
 #include <array>
 #include <numeric>
 #include <utility>
@@ -83,7 +84,7 @@ std::vector<std::string> model_preset_names() {
 }
 
 Index size_multiple(const ModelConfig& config) {
-  return std::lcm(Index{4} << config.volume_levels,
+  return std::lcm(Index{4} << std::max(config.volume_levels, config.feature_levels),
                   config.mono == MonoBranch::none ? 1 : kMonoMultiple);
 }
 

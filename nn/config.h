@@ -25,6 +25,11 @@ struct ModelConfig {
   double interval_min = 0.2;  ///< of the last stage, m
   double interval_max = 1.0;  ///< of the last stage, m
   bool variance_includes_reference = true;
+  bool best_pair = false;                  ///< channels of the best pair beside variances
+  Index feature_levels = 0;                ///< halvings of the features below stride 4
+  bool local_contrast = false;             ///< the features see the locally normalised image, too
+  HeightOf height = HeightOf::mean;        ///< of a stage's distribution
+  Centre centre = Centre::bilinear;        ///< of what stages 2 and 3 search
   Context context = Context::reference;    ///< of the 3D U-Nets
   Rotation rotation = Rotation::residual;  ///< of the surfels
   MonoBranch mono = MonoBranch::own;
@@ -63,6 +68,19 @@ struct ModelConfig {
     v("variance_includes_reference", s.variance_includes_reference,
       Field{.help = "count the reference view's own feature in the variance; without it two views "
                     "have none"});
+    v("best_pair", s.best_pair,
+      Field{.help =
+                "tell the 3D U-Nets of the best pair of views, too, and of how many see a point"});
+    v("feature_levels", s.feature_levels,
+      Field{.help = "how often the matching features are halved below a quarter of the resolution: "
+                    "how far they look around",
+            .min = 0,
+            .max = 4});
+    v("local_contrast", s.local_contrast,
+      Field{.help = "show the matching features the locally normalised image beside the colours"});
+    v("height", s.height, Field{.help = "what a stage makes of its distribution of heights"});
+    v("centre", s.centre,
+      Field{.help = "how the heights that stages 2 and 3 search around are interpolated"});
     v("context", s.context,
       Field{.help = "what the 3D U-Nets are told beside variances: nothing or the reference view's "
                     "features"});

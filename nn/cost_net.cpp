@@ -12,6 +12,8 @@ template <class T>
 CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, const CostNetOptions& options)
     : first_(p, name + ".first", options.channels, options.base, 1) {
   const Index base = options.base;
+  if (options.more > 0)
+    more_ = p.create(name + ".first.more", {base, options.more, 3, 3, 3}, Init::constant(0), true);
   for (Index l = 0; l < options.levels; ++l) {
     const std::string level = name + ".level" + std::to_string(l + 1);
     const Index c = base << l;
@@ -36,7 +38,9 @@ BasicVar<T> CostNet<T>::operator()(BasicVar<T> volume, const BasicVar<T>& featur
   const Index C = volume.dim(0), D = volume.dim(1), H = volume.dim(2), W = volume.dim(3);
   // The volume is the largest tensor of all: without a tape it goes as soon as it has been read.
   std::vector<Normalised<T>> skips;
-  skips.push_back(polled(first_(reshape(std::exchange(volume, {}), Shape{1, C, D, H, W}))));
+  const BasicVar<T> weight = more_ ? concat<T>({first_.weight, *more_}, 1) : first_.weight;
+  skips.push_back(
+      polled(first_.apply(reshape(std::exchange(volume, {}), Shape{1, C, D, H, W}), weight)));
   for (const Level& l : levels_) {
     Normalised<T> down = polled(l.down(skips.back()));
     if (context_ && skips.size() == 1)

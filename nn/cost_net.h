@@ -13,6 +13,7 @@ namespace satsurf::nn {
 /// The sizes of a CostNet.
 struct CostNetOptions {
   Index channels = 0;  ///< of the variance volume
+  Index more = 0;      ///< channels of the volume behind those; the network starts blind to them
   Index base = 8;      ///< channels of the first level
   Index levels = 3;    ///< halvings
   Context context = Context::none;
@@ -27,7 +28,7 @@ class CostNet {
  public:
   /// p  where the parameters are created, under `name`
   CostNet(ParameterSet<T>& p, const std::string& name, const CostNetOptions& options);
-  /// volume   [C D H W], D, H and W multiples of 2^levels
+  /// volume   [C + more D H W], D, H and W multiples of 2^levels
   /// features [1 C H W] of the reference view; not read without context
   /// poll     called between layers, may throw to stop
   /// returns  logits [1 D H W]
@@ -41,6 +42,7 @@ class CostNet {
     UpNorm3d<T> up;
   };
   ConvNorm3d<T> first_;
+  std::optional<BasicVar<T>> more_;  ///< the first convolution's weights of the further channels
   std::vector<Level> levels_;
   std::optional<ConvNorm2d<T>> context_;
   BasicVar<T> last_;

@@ -27,7 +27,11 @@ BasicTensor<T> stacked(const std::vector<PosedImage>& views, const Tensor PosedI
 
 template <class T>
 FeatureExtractor<T>::FeatureExtractor(ParameterSet<T>& p, const ModelConfig& config)
-    : fuses_(config.fusion != Fusion::none), fpn_(p, config.base) {
+    : fuses_(config.fusion != Fusion::none),
+      local_contrast_(config.local_contrast),
+      fpn_(p, {.base = config.base,
+               .levels = config.feature_levels,
+               .local_contrast = config.local_contrast}) {
   if (config.mono != MonoBranch::none) mono_.emplace(p, "mono", config.mono_net);
 }
 
@@ -46,7 +50,8 @@ FeatureMaps<T> FeatureExtractor<T>::operator()(const NetworkInput& scene,
   for (const PosedImage& view : scene.sources) {
     if (poll) poll();
     const BasicVar<T> image(standardised<T>(view));
-    const auto levels = fpn_(image);
+    const auto levels = fpn_(
+        local_contrast_ ? concat<T>({image, BasicVar<T>(locally_normalised<T>(view))}, 1) : image);
     for (std::size_t s = 0; s < 3; ++s) fpn[s].push_back(levels[s]);
     if (!mono_) continue;
     if (poll) poll();

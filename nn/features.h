@@ -38,7 +38,7 @@ class FeatureExtractor {
   Index mono_channels(std::size_t stage) const;
 
  private:
-  bool fuses_;
+  bool fuses_, local_contrast_;
   FeatureNet<T> fpn_;
   std::optional<MonoNet<T>> mono_;
 };

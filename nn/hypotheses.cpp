@@ -55,14 +55,17 @@ std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInp
 
 template <class T>
 BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
-                                const StageHeights<T>* previous) {
+                                const StageHeights<T>* previous, Centre centre) {
   if (grid.hypotheses == 0) return {};
   if (previous == nullptr) return uniform_hypotheses<T>(grid, scene.z_range);
   const NoGrad no_grad;
-  const BasicVar<T> centre = resize_bilinear(previous->height.detach(), grid.height, grid.width);
+  const BasicVar<T> coarse = previous->height.detach(),
+                    middle = centre == Centre::bilinear
+                                 ? resize_bilinear(coarse, grid.height, grid.width)
+                                 : resize_nearest(coarse, grid.height, grid.width);
   // a surface at the very edge of the range stays inside the band
   const double margin = 2 * grid.interval;
-  return narrowed_hypotheses(grid, centre.value(), scene.z_range.widened(margin));
+  return narrowed_hypotheses(grid, middle.value(), scene.z_range.widened(margin));
 }
 
 template <class T>
@@ -99,9 +102,10 @@ BasicTensor<T> narrowed_hypotheses(const StageGrid& grid, const BasicTensor<T>& 
   return out;
 }
 
-template Tensor stage_hypotheses(const NetworkInput&, const StageGrid&, const StageHeights<float>*);
+template Tensor stage_hypotheses(const NetworkInput&, const StageGrid&, const StageHeights<float>*,
+                                 Centre);
 template BasicTensor<double> stage_hypotheses(const NetworkInput&, const StageGrid&,
-                                              const StageHeights<double>*);
+                                              const StageHeights<double>*, Centre);
 template Tensor uniform_hypotheses(const StageGrid&, const rpc::HeightRange&);
 template BasicTensor<double> uniform_hypotheses(const StageGrid&, const rpc::HeightRange&);
 template Tensor narrowed_hypotheses(const StageGrid&, const Tensor&, const rpc::HeightRange&);

@@ -26,14 +26,15 @@ std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const Netw
 std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInput& scene);
 
 /// The heights that one stage tries: the whole range first, then a narrow band around the surface of
-/// the stage before, bilinear and without its gradient.
+/// the stage before, without its gradient.
 /// scene     whose height range is searched
 /// grid      of the stage
 /// previous  nullptr for the first stage
+/// centre    how its heights are interpolated
 /// returns   [N D h w] m; empty where the stage does not search
 template <class T>
 BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
-                                const StageHeights<T>* previous);
+                                const StageHeights<T>* previous, Centre centre);
 
 /// Heights over a whole range, both ends included, the same for every pixel.
 /// grid     its interval is not read

@@ -33,6 +33,55 @@ BasicTensor<T> standardised(const PosedImage& v) {
   return out;
 }
 
+template <class T>
+BasicTensor<T> locally_normalised(const PosedImage& v) {
+  constexpr Index kReach = 7;
+  constexpr double kFlat = 0.01;  // a few grey levels: noise is no texture
+  constexpr double kMost = 4;
+  const Index H = v.rgb.dim(1), W = v.rgb.dim(2), P = H * W;
+  // Sums of brightness, its square and the count over a row's part of each window.
+  BasicTensor<double> sums({3, H, W});
+  const auto brightness = [&](Index i) {
+    return (static_cast<double>(v.rgb[i]) + static_cast<double>(v.rgb[P + i]) +
+            static_cast<double>(v.rgb[2 * P + i])) /
+           3;
+  };
+  for_each_index(H, [&](Index y) {
+    double now[3]{};
+    const auto move = [&](Index x, double sign) {
+      if (x < 0 || x >= W || v.valid[y * W + x] <= 0) return;
+      const double b = brightness(y * W + x);
+      now[0] += sign * b;
+      now[1] += sign * b * b;
+      now[2] += sign;
+    };
+    for (Index x = 0; x < kReach; ++x) move(x, 1);
+    for (Index x = 0; x < W; ++x) {
+      move(x + kReach, 1);
+      move(x - kReach - 1, -1);
+      for (Index k = 0; k < 3; ++k) sums[k * P + y * W + x] = now[k];
+    }
+  });
+  auto out = BasicTensor<T>::uninitialised({1, 1, H, W});
+  for_each_index(H, [&](Index y) {
+    const Index first = std::max<Index>(0, y - kReach), last = std::min(H - 1, y + kReach);
+    for (Index x = 0; x < W; ++x) {
+      const Index i = y * W + x;
+      out[i] = T(0);
+      if (v.valid[i] <= 0) continue;
+      double s[3]{};
+      for (Index row = first; row <= last; ++row)
+        for (Index k = 0; k < 3; ++k) s[k] += sums[k * P + row * W + x];
+      const double mean = s[0] / s[2], variance = std::max(s[1] / s[2] - mean * mean, 0.0);
+      out[i] = static_cast<T>(
+          std::clamp((brightness(i) - mean) / (std::sqrt(variance) + kFlat), -kMost, kMost));
+    }
+  });
+  return out;
+}
+
+template BasicTensor<float> locally_normalised(const PosedImage&);
+template BasicTensor<double> locally_normalised(const PosedImage&);
 template BasicTensor<float> standardised(const PosedImage&);
 template BasicTensor<double> standardised(const PosedImage&);
 

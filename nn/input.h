@@ -24,6 +24,13 @@ struct PosedImage {
 template <class T>
 BasicTensor<T> standardised(const PosedImage& view);
 
+/// Brightness against its surroundings, which neither gain, offset nor a shadow's edge far away
+/// change: the mean of the channels minus its mean over the valid pixels of a window of 15 x 15,
+/// by their deviation and 0.01, within [-4, 4]. Invalid pixels become 0.
+/// returns  [1 1 H W]
+template <class T>
+BasicTensor<T> locally_normalised(const PosedImage& view);
+
 /// What the network is given: source views of one size, and the pixel transfer between any two of
 /// them.
 struct NetworkInput {

@@ -124,7 +124,7 @@ struct BasicModel<T>::Parts {
   /// The figure of the method: features of all views, then three times CMMF, hypotheses, search,
   /// CSRG and surfels, each stage told by the one before where to look.
   std::array<StageOutput<T>, 3> run(const NetworkInput& scene, const std::function<void()>& poll,
-                                    std::vector<PartMemory>* memory) const;
+                                    std::vector<PartMemory>* memory, Wanted wanted) const;
 
   ModelConfig config;
   ParameterSet<T> parameters;
@@ -160,7 +160,8 @@ const ParameterSet<T>& BasicModel<T>::parameters() const {
 template <class T>
 std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scene,
                                                         const std::function<void()>& poll,
-                                                        std::vector<PartMemory>* memory) const {
+                                                        std::vector<PartMemory>* memory,
+                                                        Wanted wanted) const {
   MemoryMeter meter(memory);
   const std::array<StageGrid, 3> grids = stage_grids(config, scene);
   FeatureMaps<T> features = extract_features(scene, poll);
@@ -182,12 +183,14 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
 
     // search: variance volumes, 3D U-Net, distribution of heights, confidence
     const BasicTensor<T> validity = downsampled(features.validity, grid.stride);
-    const BasicTensor<T> hypotheses = stage_hypotheses<T>(scene, grid, previous);
+    const BasicTensor<T> hypotheses = stage_hypotheses<T>(scene, grid, previous, config.centre);
     const SearchOutput<T> found =
         part.search(scene, grid, {matching, validity, hypotheses, previous, in_search}, poll);
     const StageHeights<T>& heights = found.heights;
     in_search = found.in_next_search;
     meter.end("volumes " + std::to_string(s + 1));
+    out[s] = {heights, grid.stride, {}, downsampled(features.mono_height, grid.stride)};
+    if (wanted == Wanted::heights) continue;
 
     // CSRG: what the rendered surface of the stage before says about these heights
     const BasicVar<T> image(downsampled(features.images, grid.stride));
@@ -213,9 +216,7 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
     }
     const SurfelMaps<T> maps{concat(std::exchange(raw, {}), 0), heights.height, image.value(),
                              confidence.detach()};
-    const auto surfels =
-        kept_surfels(config.keep, stage_surfels(config, scene, grid, maps), previous);
-    out[s] = {heights, grid.stride, surfels, downsampled(features.mono_height, grid.stride)};
+    out[s].surfels = kept_surfels(config.keep, stage_surfels(config, scene, grid, maps), previous);
     meter.end("heads " + std::to_string(s + 1));
   }
   return out;
@@ -224,9 +225,10 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
 template <class T>
 std::array<StageOutput<T>, 3> BasicModel<T>::forward(const NetworkInput& scene,
                                                      const std::function<void()>& poll,
-                                                     std::vector<PartMemory>* memory) const {
+                                                     std::vector<PartMemory>* memory,
+                                                     Wanted wanted) const {
   check_input(parts_->config, scene);
-  return parts_->run(scene, poll, memory);
+  return parts_->run(scene, poll, memory, wanted);
 }
 
 template class BasicModel<float>;

@@ -41,10 +41,12 @@ class BasicModel {
   /// Heights, confidences and surfels of every stage, coarse to fine.
   /// poll    called between layers, may throw to stop
   /// memory  takes what each part needed
+  /// wanted  what to compute
   /// throws  ShapeError if views differ in size or are no multiple of `size_multiple`
   std::array<StageOutput<T>, 3> forward(const NetworkInput& scene,
                                         const std::function<void()>& poll = {},
-                                        std::vector<PartMemory>* memory = nullptr) const;
+                                        std::vector<PartMemory>* memory = nullptr,
+                                        Wanted wanted = Wanted::surfels) const;
 
  private:
   struct Parts;

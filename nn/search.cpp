@@ -3,7 +3,7 @@
 
 #include "satsurf/nn/confidence.h"
 #include "satsurf/ops/concat.h"
-#include "satsurf/ops/cost_volume.h"
+#include "satsurf/ops/mode_height.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/ops/softmax.h"
 
@@ -12,6 +12,8 @@
 
 namespace satsurf::nn {
 namespace {
+
+constexpr Index kModeRadius = 2;  // hypotheses on either side of the most probable one
 
 /// The heights of the stage before at this stage's size.
 template <class T>
@@ -33,11 +35,14 @@ StageHeights<T> interpolated(const StageHeights<T>& previous, const StageGrid& g
 template <class T>
 HeightSearch<T>::HeightSearch(ParameterSet<T>& p, const std::string& name,
                               const ModelConfig& config, std::size_t stage)
-    : variance_includes_reference_(config.variance_includes_reference),
-      joint_(config.confidence == Confidence::joint) {
+    : sweep_{.include_reference = config.variance_includes_reference,
+             .best_pair = config.best_pair},
+      joint_(config.confidence == Confidence::joint),
+      height_(config.height) {
   if (config.hypotheses[stage] == 0) return;
   cost_.emplace(p, name,
                 CostNetOptions{.channels = config.base * kStrides[stage],
+                               .more = config.best_pair ? kPairChannels : 0,
                                .base = config.volume_base,
                                .levels = config.volume_levels,
                                .context = config.context});
@@ -54,9 +59,9 @@ BasicVar<T> HeightSearch<T>::logits(const NetworkInput& scene, const StageGrid& 
     std::vector<Quadratic> maps;
     for (const Quadratic& q : scene.transfer[static_cast<std::size_t>(i)])
       maps.push_back(rescale_pixels(q, stride, stride));
-    of_views.push_back((*cost_)(plane_sweep_variance(in.features, i, maps, in.hypotheses.slice0(i),
-                                                     in.validity, variance_includes_reference_),
-                                slice(in.features, 0, i, i + 1), poll));
+    of_views.push_back((*cost_)(
+        plane_sweep_variance(in.features, i, maps, in.hypotheses.slice0(i), in.validity, sweep_),
+        slice(in.features, 0, i, i + 1), poll));
   }
   return concat(std::exchange(of_views, {}), 0);
 }
@@ -72,7 +77,9 @@ SearchOutput<T> HeightSearch<T>::operator()(const NetworkInput& scene, const Sta
   heights.interval = grid.interval;
   heights.hypotheses = in.hypotheses;
   heights.probability = distribution.probability;
-  heights.height = distribution.height;
+  heights.height = height_ == HeightOf::mean
+                       ? distribution.height
+                       : mode_height(distribution.probability, in.hypotheses, kModeRadius);
   heights.confidence = distribution.confidence;
   heights.choices = grid.hypotheses;
   if (!joint_) return {heights, {}};

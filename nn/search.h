@@ -5,6 +5,7 @@
 #include "satsurf/nn/cost_net.h"
 #include "satsurf/nn/input.h"
 #include "satsurf/nn/stage.h"
+#include "satsurf/ops/cost_volume.h"
 
 #include <functional>
 #include <optional>
@@ -50,7 +51,9 @@ class HeightSearch {
   BasicVar<T> logits(const NetworkInput& scene, const StageGrid& grid, const SearchInput<T>& in,
                      const std::function<void()>& poll) const;
 
-  bool variance_includes_reference_, joint_;
+  SweepOptions sweep_;
+  bool joint_;
+  HeightOf height_;
   std::optional<CostNet<T>> cost_;
 };
 

@@ -6,6 +6,12 @@
 
 namespace satsurf::nn {
 
+/// What a forward pass is asked for.
+enum class Wanted {
+  heights,  ///< the search alone: neither guidance nor surfels, a third less work
+  surfels   ///< all of it
+};
+
 /// The size of one stage of the cascade: of its maps [N h w] and volumes [N D h w], and where its
 /// hypotheses lie.
 struct StageGrid {
@@ -37,7 +43,7 @@ template <class T>
 struct StageOutput : StageHeights<T> {
   Index stride = 1;  ///< 4, 2 or 1 image pixels per stage pixel
   /// N*h*w pixel-aligned surfels, and behind them those of the stages before if the configuration
-  /// keeps all; aux channel 0 is the effective confidence.
+  /// keeps all; aux channel 0 is the effective confidence. None where only heights were wanted.
   splat::BasicSurfels<T> surfels;
   BasicTensor<T> mono_height;  ///< [N h w] of the monocular branch, relative; empty without one
 };

@@ -7,6 +7,9 @@
 #include "satsurf/ops/cost_volume_kernels.h"
 
 #include <algorithm>
+#include <cstdint>
+#include <limits>
+#include <memory>
 #include <string>
 
 namespace satsurf {
@@ -38,6 +41,7 @@ struct Sweep {
   std::vector<Index> sources;   // their indices
   BasicTensor<T> heights, valid;
   T reference_counts;
+  std::shared_ptr<std::int8_t[]> best;  // [D H W] the most similar source, or none
 
   Index J() const { return std::ssize(sources); }
   Index row() const { return W * Cs; }
@@ -66,7 +70,8 @@ class RowWork {
       if (!sweep.valid.empty()) valid_.push_back(sweep.valid.data() + j * P);
     }
     scratch_ = BasicTensor<T>({2 * kSweepTile + sweep.J(), Cs});
-    T* tile = scratch_.data();
+    pair_scratch_ = BasicTensor<T>({kSweepTile * kPairStride + 4 * sweep.J()});
+    T *tile = scratch_.data(), *pairs = pair_scratch_.data();
     s_ = {sweep.H,
           sweep.W,
           sweep.C,
@@ -79,16 +84,20 @@ class RowWork {
           nullptr,
           sweep.reference_counts,
           nullptr,
+          nullptr,
           lines_.data(),
           taps_.data(),
           tile,
           tile + kSweepTile * Cs,
-          tile + 2 * kSweepTile * Cs};
+          tile + 2 * kSweepTile * Cs,
+          pairs,
+          pairs + kSweepTile * kPairStride};
   }
   const SweepRow<T>& at_row(Index y) {
     for (std::size_t j = 0; j < maps_.size(); ++j) maps_[j] = restrict_to_row(sweep_.maps[j], y);
     s_.reference = pixels_ + (sweep_.reference * sweep_.H + y) * sweep_.row();
     s_.heights = sweep_.heights.data() + y * sweep_.W;
+    if (sweep_.best) s_.best = sweep_.best.get() + y * sweep_.W;
     return s_;
   }
 
@@ -99,7 +108,7 @@ class RowWork {
   std::vector<SweepLines<T>> lines_;
   std::vector<SweepTaps<T>> taps_;
   std::vector<const T*> sources_, valid_;
-  BasicTensor<T> scratch_;
+  BasicTensor<T> scratch_, pair_scratch_;
   SweepRow<T> s_;
 };
 
@@ -193,13 +202,14 @@ void add_gradient(const Sweep<T>& sweep, const std::vector<std::int32_t>& range,
 template <class T>
 BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
                                  const std::vector<Quadratic>& maps, const BasicTensor<T>& heights,
-                                 const BasicTensor<T>& valid, bool include_reference) {
+                                 const BasicTensor<T>& valid, const SweepOptions& options) {
   Dims dim("plane_sweep_variance");
   dim.match("features", features, "N C H W").match("heights", heights, "D H W");
   if (!valid.empty()) dim.match("valid", valid, "N H W");
   Sweep<T> sweep{
       dim["N"],  dim["C"], dim["D"], dim["H"], dim["W"], channel_stride(dim["C"]),
-      reference, {},       {},       heights,  valid,    include_reference ? T(1) : T(0)};
+      reference, {},       {},       heights,  valid,    options.include_reference ? T(1) : T(0),
+      {}};
   const Index N = sweep.N, H = sweep.H, W = sweep.W;
   if (reference < 0 || reference >= N)
     throw ShapeError("plane_sweep_variance: reference is " + std::to_string(reference) +
@@ -214,7 +224,16 @@ BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
   }
 
   const Index J = sweep.J();
-  auto out = BasicTensor<T>::uninitialised({sweep.C, sweep.D, H, W});
+  Index channels = sweep.C;
+  if (options.best_pair) {
+    if (J > std::numeric_limits<std::int8_t>::max())
+      throw ShapeError("plane_sweep_variance: " + std::to_string(N) +
+                       " views, expected 128 or fewer for the best pair");
+    sweep.best =
+        std::make_shared_for_overwrite<std::int8_t[]>(static_cast<std::size_t>(sweep.D * H * W));
+    channels += kPairChannels;
+  }
+  auto out = BasicTensor<T>::uninitialised({channels, sweep.D, H, W});
   std::vector<std::int32_t> range(2 * J * H);  // source rows read by each reference row
   const BasicTensor<T> pixels = sweep.channels_last(features.value().data());
   const auto forward = active_kernels<SweepKernels<T>>().forward;
@@ -234,10 +253,10 @@ BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
 template BasicVar<float> plane_sweep_variance(const BasicVar<float>&, Index,
                                               const std::vector<Quadratic>&,
                                               const BasicTensor<float>&, const BasicTensor<float>&,
-                                              bool);
+                                              const SweepOptions&);
 template BasicVar<double> plane_sweep_variance(const BasicVar<double>&, Index,
                                                const std::vector<Quadratic>&,
                                                const BasicTensor<double>&,
-                                               const BasicTensor<double>&, bool);
+                                               const BasicTensor<double>&, const SweepOptions&);
 
 }  // namespace satsurf

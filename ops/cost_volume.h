@@ -8,6 +8,18 @@
 
 namespace satsurf {
 
+/// What a plane sweep measures.
+struct SweepOptions {
+  bool include_reference = true;  ///< false: the variance is over the other views alone
+  /// A view in which a point is hidden spoils the variance of all. With this the volume has
+  /// kPairChannels more channels, about the other view b that looks most like the reference there:
+  ///   4 / C sum_{c mod 4 = k} (f_ref,c - f_b,c)^2  for k = 0 .. 3,  b the least of their sums,
+  /// and, without gradient, the share of the other views that see the point. All are 0 where none
+  /// does. Source: after Kang et al. 2001, who take the better half of the views.
+  bool best_pair = false;
+};
+inline constexpr Index kPairChannels = 5;
+
 /// Plane-sweep variance volume of one reference view. For every reference pixel and height
 /// hypothesis, the features of the other views are sampled bilinearly at the transferred pixel and
 /// the variance per channel is taken over the views that see the point:
@@ -23,13 +35,13 @@ namespace satsurf {
 ///                    at height z, both in pixels of these maps; entry `reference` is ignored
 /// heights            [D H W] hypotheses, m, in the frame of the maps
 /// valid              [N H W], 1 where a pixel may be sampled; empty for everywhere
-/// include_reference  false: the variance is over the other views alone
-/// returns            [C D H W]
+/// returns            [C D H W], and with `best_pair` kPairChannels more of them
 /// throws             ShapeError
-/// memory             nothing is kept of the warps: backward computes them again
+/// memory             nothing is kept of the warps but which pair was the best: backward computes
+///                    them again
 template <class T>
 BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
                                  const std::vector<Quadratic>& maps, const BasicTensor<T>& heights,
-                                 const BasicTensor<T>& valid, bool include_reference = true);
+                                 const BasicTensor<T>& valid, const SweepOptions& options = {});
 
 }  // namespace satsurf

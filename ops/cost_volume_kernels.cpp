@@ -2,6 +2,7 @@
 #include "satsurf/ops/cost_volume_kernels.h"
 
 #include "satsurf/core/simd.h"
+#include "satsurf/ops/cost_volume.h"
 
 #include <type_traits>
 
@@ -173,8 +174,37 @@ struct Sampler {
   }
 };
 
-template <class T, Index L, Index kJ>
-void forward_tile(const SweepRow<T>& s, Index begin, Index n) {
+/// Adds the squares of L numbers to four sums, channel c + l to that of (c + l) mod 4.
+template <Index L, class V, class T>
+void add_squares(const V& difference, Index c, T* sums) {
+  T squares[L];
+  store<V>(squares, difference * difference);
+#pragma GCC unroll 16
+  for (Index l = 0; l < L; ++l) sums[(L >= 4 ? l : c + l) & 3] += squares[l];
+}
+
+/// The best pair's channels of pixel i at hypothesis d from the distances to all sources.
+template <class T>
+void choose_pair(const SweepRow<T>& s, Index J, const T* distances, Index i, std::int8_t& best) {
+  T least = 0, counted = 0;
+  best = -1;
+  for (Index j = 0; j < J; ++j) {
+    if (s.taps[j].counts[i] == 0) continue;
+    counted += 1;
+    const T* d = distances + 4 * j;
+    const T total = (d[0] + d[1]) + (d[2] + d[3]);
+    if (best >= 0 && !(total < least)) continue;
+    least = total;
+    best = static_cast<std::int8_t>(j);
+  }
+  T* to = s.pair_tile + i * kPairStride;
+  const T unit = T(4) / static_cast<T>(s.C);
+  for (Index k = 0; k < 4; ++k) to[k] = best < 0 ? T(0) : distances[4 * best + k] * unit;
+  to[4] = counted / static_cast<T>(J);
+}
+
+template <class T, Index L, Index kJ, bool kPairs>
+void forward_tile(const SweepRow<T>& s, Index begin, Index n, Index d) {
   using V = Channels<T, L>;
   const Sampler<T, L, kJ> sampler{s};
   V local[kJ > 0 ? kJ : 1];
@@ -182,7 +212,8 @@ void forward_tile(const SweepRow<T>& s, Index begin, Index n) {
   for (Index i = 0; i < n; ++i) {
     T* to = s.tile + i * s.Cs;
     const T share = sampler.share(i);
-    if (share == 0) {
+    if constexpr (kPairs) fill_zero(s.distances, 4 * sampler.J);
+    if (share == 0 && !kPairs) {
       fill_zero(to, s.Cs);
       continue;
     }
@@ -193,13 +224,17 @@ void forward_tile(const SweepRow<T>& s, Index begin, Index n) {
       for (Index j = 0; j < sampler.J; ++j)
         total += (f[j] - mean) * (f[j] - mean) * s.taps[j].counts[i];
       store<V>(to + c, total * share);
+      if constexpr (kPairs)
+        for (Index j = 0; j < sampler.J; ++j) add_squares<L>(V(own - f[j]), c, s.distances + 4 * j);
     }
+    if constexpr (kPairs)
+      choose_pair(s, sampler.J, s.distances, i, s.best[d * s.H * s.W + begin + i]);
   }
 }
 
 /// dV/df_j = 2 m_j (f_j - mean) / n; the mean's own derivative cancels.
-template <class T, Index L, Index kJ>
-void backward_tile(const SweepRow<T>& s, Index begin, Index n, T* const* d_sources,
+template <class T, Index L, Index kJ, bool kPairs>
+void backward_tile(const SweepRow<T>& s, Index begin, Index n, Index d, T* const* d_sources,
                    const std::int32_t* first_row) {
   using V = Channels<T, L>;
   const Sampler<T, L, kJ> sampler{s};
@@ -208,16 +243,27 @@ void backward_tile(const SweepRow<T>& s, Index begin, Index n, T* const* d_sourc
   V* f = kJ > 0 ? local : reinterpret_cast<V*>(s.samples);
   for (Index i = 0; i < n; ++i) {
     const T share = sampler.share(i);
-    if (share == 0) continue;
+    const Index best = kPairs ? s.best[d * s.H * s.W + begin + i] : -1;
+    if (share == 0 && best < 0) continue;
     for (Index c = 0; c < s.Cs; c += L) {
       const V own = load<V>(s.reference + (begin + i) * s.Cs + c);
       const V mean = sampler.mean(i, c, own, share, f);
       const V g = load<V>(s.tile + i * s.Cs + c) * (2 * share);
-      add_to<V>(s.reference_tile + i * s.Cs + c, g * (own - mean) * s.reference_counts);
+      V d_own = g * (own - mean) * s.reference_counts, d_best{};
+      if constexpr (kPairs)
+        if (best >= 0) {  // d/df_ref of 4 / C (f_ref - f_b)^2, and the opposite for f_b
+          T factor[L];
+          const T* gp = s.pair_tile + i * kPairStride;
+          for (Index l = 0; l < L; ++l) factor[l] = gp[(c + l) & 3] * (T(8) / static_cast<T>(s.C));
+          d_best = load<V>(factor) * (f[best] - own);
+          d_own -= d_best;
+        }
+      add_to<V>(s.reference_tile + i * s.Cs + c, d_own);
       for (Index j = 0; j < sampler.J; ++j) {
         const SweepTaps<T>& t = s.taps[j];
         if (t.counts[i] == 0) continue;
-        const V e = g * (f[j] - mean);
+        V e = g * (f[j] - mean);
+        if (kPairs && j == best) e += d_best;
         T* p = d_sources[j] + (sampler.offset(j, i) - first_row[j] * s.W * s.Cs + c);
         add_to<V>(p, e * t.weight[0][i]);
         add_to<V>(p + right, e * t.weight[1][i]);
@@ -228,25 +274,33 @@ void backward_tile(const SweepRow<T>& s, Index begin, Index n, T* const* d_sourc
   }
 }
 
-/// Calls body.template operator()<L, J>() for the widest L that divides Cs.
-template <class T, Index kJ, class Body>
+/// Calls body.template operator()<L, J, pairs>() for the widest L that divides Cs.
+template <class T, Index kJ, bool kPairs, class Body>
 void with_lanes(Index Cs, const Body& body) {
   constexpr Index kMost = kLanes<T>;
   if constexpr (kMost >= 16)
-    if (Cs % 16 == 0) return body.template operator()<16, kJ>();
+    if (Cs % 16 == 0) return body.template operator()<16, kJ, kPairs>();
   if constexpr (kMost >= 8)
-    if (Cs % 8 == 0) return body.template operator()<8, kJ>();
-  body.template operator()<(kMost < 4 ? kMost : 4), kJ>();
+    if (Cs % 8 == 0) return body.template operator()<8, kJ, kPairs>();
+  body.template operator()<(kMost < 4 ? kMost : 4), kJ, kPairs>();
+}
+
+template <class T, bool kPairs, class Body>
+void with_sources(const SweepRow<T>& s, const Body& body) {
+  if (s.J == 2)
+    with_lanes<T, 2, kPairs>(s.Cs, body);
+  else if (s.J == 1)
+    with_lanes<T, 1, kPairs>(s.Cs, body);
+  else
+    with_lanes<T, 0, kPairs>(s.Cs, body);
 }
 
 template <class T, class Body>
 void with_shape(const SweepRow<T>& s, const Body& body) {
-  if (s.J == 2)
-    with_lanes<T, 2>(s.Cs, body);
-  else if (s.J == 1)
-    with_lanes<T, 1>(s.Cs, body);
+  if (s.best != nullptr)
+    with_sources<T, true>(s, body);
   else
-    with_lanes<T, 0>(s.Cs, body);
+    with_sources<T, false>(s, body);
 }
 
 template <class T>
@@ -273,8 +327,13 @@ void forward(const SweepRow<T>& s, T* out, std::int32_t* touched) {
         touched[2 * j] = low;
         touched[2 * j + 1] = high;
       }
-      with_shape(s, [&]<Index L, Index kJ>() { forward_tile<T, L, kJ>(s, begin, n); });
+      with_shape(s, [&]<Index L, Index kJ, bool kPairs>() {
+        forward_tile<T, L, kJ, kPairs>(s, begin, n, d);
+      });
       scatter_pixels<false>(s.tile, n, s.C, s.Cs, out + d * P + begin, s.D * P);
+      if (s.best != nullptr)
+        scatter_pixels<false>(s.pair_tile, n, kPairChannels, kPairStride,
+                              out + (s.C * s.D + d) * P + begin, s.D * P);
     }
   }
   for (Index j = 0; j < s.J; ++j)  // the lower neighbours
@@ -293,8 +352,11 @@ void backward(const SweepRow<T>& s, const T* g, T* d_reference, T* const* d_sour
     for (Index d = 0; d < s.D; ++d) {
       make_all_taps(s, begin, n, d);
       gather_pixels(g + d * P + begin, s.D * P, n, s.C, s.Cs, s.tile);
-      with_shape(s, [&]<Index L, Index kJ>() {
-        backward_tile<T, L, kJ>(s, begin, n, d_sources, first_row);
+      if (s.best != nullptr)
+        gather_pixels(g + (s.C * s.D + d) * P + begin, s.D * P, n, kPairChannels, kPairStride,
+                      s.pair_tile);
+      with_shape(s, [&]<Index L, Index kJ, bool kPairs>() {
+        backward_tile<T, L, kJ, kPairs>(s, begin, n, d, d_sources, first_row);
       });
     }
     scatter_pixels<true>(s.reference_tile, n, s.C, s.Cs, d_reference + begin, P);

@@ -38,6 +38,9 @@ struct SweepTaps {
   T weight[4][kSweepTile], counts[kSweepTile];
 };
 
+/// Pixels of the best pair's channels in a tile; the last are not used.
+inline constexpr Index kPairStride = 8;
+
 /// One reference row: what is read, and scratch.
 template <class T>
 struct SweepRow {
@@ -48,18 +51,23 @@ struct SweepRow {
   const T* reference;       ///< [W Cs] the reference's row
   T reference_counts;       ///< 1, or 0 if the variance is over the source views alone
   const T* heights;         ///< row of [D H W]
+  /// Row of [D H W]: the source that looks most like the reference, -1 for none; nullptr where the
+  /// best pair is not asked for. Written forward, read backward.
+  std::int8_t* best;
   // Scratch.
   SweepLines<T>* lines;  ///< [J]
   SweepTaps<T>* taps;    ///< [J]
   T* tile;               ///< [kSweepTile Cs]
   T* reference_tile;     ///< [kSweepTile Cs], backward only
   T* samples;            ///< [J Cs]
+  T* pair_tile;          ///< [kSweepTile kPairStride]
+  T* distances;          ///< [J 4] of one pixel
 };
 
 /// The loops of cost_volume.cpp for one instruction set.
 template <class T>
 struct SweepKernels {
-  /// Writes the row of `out` [C D H W]; touched[2 j], touched[2 j + 1] become the first and last row
+  /// Writes the row of `out` [C D H W], or [C + kPairChannels D H W] with the best pair; touched[2 j], touched[2 j + 1] become the first and last row
   /// of source j that was read (H and -1 if none).
   void (*forward)(const SweepRow<T>& s, T* out, std::int32_t* touched);
   /// Adds to the row of `d_reference` [C H W] and to `d_sources`[j], which hold the rows from

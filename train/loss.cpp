@@ -3,6 +3,7 @@
 
 #include "satsurf/core/rng.h"
 #include "satsurf/ops/elementwise.h"
+#include "satsurf/ops/height_cross_entropy.h"
 #include "satsurf/ops/loss.h"
 #include "satsurf/ops/pearson.h"
 #include "satsurf/ops/reduce.h"
@@ -116,9 +117,31 @@ struct StageLoss {
     add_term(total, correlation(truth.value, truth.weight), weight * config.geo_weight);
   }
 
+  /// The terms of the stage's heights against the true ones, weighted. Returns the mean error, m.
+  double add_heights(Var& total, double weight) const {
+    const Target truth = height_target(crop.source_truth[index]);
+    const bool searches = !stage.probability.empty();
+    if (config.height_weight > 0)
+      add_term(total,
+               smooth_l1(stage.height, truth.value,
+                         config.height_in_reach && searches
+                             ? within_hypotheses(stage.hypotheses, truth.value, truth.weight)
+                             : truth.weight,
+                         static_cast<float>(config.height_beta)),
+               weight * config.height_weight);
+    if (config.distribution_weight > 0 && searches)
+      add_term(total,
+               height_cross_entropy(stage.probability, stage.hypotheses, truth.value, truth.weight),
+               weight * config.distribution_weight);
+    double error = 0;
+    for (Index i = 0; i < truth.value.count(); ++i)
+      error +=
+          static_cast<double>(truth.weight[i] * std::abs(stage.height.value()[i] - truth.value[i]));
+    return error / sum_of(truth.weight);
+  }
+
   bool wants_target() const {
-    return crop.target && (config.colour_weight > 0 || config.ssim_weight > 0 ||
-                           config.lpips_weight > 0 || config.render_height_weight > 0);
+    return wanted_by(config, crop.target.has_value()) == nn::Wanted::surfels;
   }
 
   /// L_app and the rendered height. Returns the PSNR over opaque pixels and the share of them that
@@ -205,6 +228,12 @@ LossConfig loss_preset(const std::string& name) {
   return c;
 }
 
+nn::Wanted wanted_by(const LossConfig& config, bool has_target) {
+  const bool renders = config.colour_weight > 0 || config.ssim_weight > 0 ||
+                       config.lpips_weight > 0 || config.render_height_weight > 0;
+  return has_target && renders ? nn::Wanted::surfels : nn::Wanted::heights;
+}
+
 LossReport training_loss(const LossConfig& config, const nn::ModelConfig& model,
                          const std::array<nn::StageOutput<float>, 3>& stages,
                          const scene::Crop& crop, const LossContext& context) {
@@ -215,19 +244,8 @@ LossReport training_loss(const LossConfig& config, const nn::ModelConfig& model,
     const double weight = config.stage_weight[s];
     if (weight <= 0) continue;
     if (!crop.source_truth.empty()) {
-      const Target truth = height_target(crop.source_truth[s]);
-      if (config.height_weight > 0)
-        add_term(report.total,
-                 smooth_l1(stage.height, truth.value, truth.weight,
-                           static_cast<float>(config.height_beta)),
-                 weight * config.height_weight);
-      if (s == 2) {
-        double error = 0;
-        for (Index i = 0; i < truth.value.count(); ++i)
-          error += static_cast<double>(truth.weight[i] *
-                                       std::abs(stage.height.value()[i] - truth.value[i]));
-        report.height_mae = error / sum_of(truth.weight);
-      }
+      const double error = loss.add_heights(report.total, weight);
+      if (s == 2) report.height_mae = error;
     }
     loss.add_geometry(report.total, weight);
     if (!loss.wants_target()) continue;

@@ -31,6 +31,8 @@ struct LossConfig {
   std::array<double, 3> stage_weight{0.5, 1, 2};  ///< of the stages' losses, coarse to fine
   double height_weight = 1;                       ///< smooth-L1 of the stage heights, per metre
   double height_beta = 1;                         ///< its transition, m
+  double distribution_weight = 0;     ///< cross-entropy of the stage's distribution of heights
+  bool height_in_reach = false;       ///< no smooth-L1 where a stage does not search at the truth
   double render_height_weight = 0.1;  ///< smooth-L1 of the height rendered in the target
   double geo_weight = 0.01;           ///< patch-wise Pearson losses of the stage heights
   GeoTarget geo_target = GeoTarget::mono;
@@ -49,6 +51,10 @@ struct LossConfig {
       Field{.help = "weight of the height loss", .unit = "1/m", .min = 0});
     v("height_beta", s.height_beta,
       Field{.help = "where the height loss turns linear", .unit = "m", .min = 1e-6});
+    v("distribution_weight", s.distribution_weight,
+      Field{.help = "weight of the cross-entropy of a stage's distribution of heights", .min = 0});
+    v("height_in_reach", s.height_in_reach,
+      Field{.help = "take the height loss only where the truth lies within what a stage searches"});
     v("render_height_weight", s.render_height_weight,
       Field{.help = "weight of the rendered target's height loss", .unit = "1/m", .min = 0});
     v("geo_weight", s.geo_weight,
@@ -90,6 +96,9 @@ struct LossContext {
   const nn::Lpips* lpips = nullptr;  ///< network of the perceptual term; nullptr leaves it out
 };
 
+/// Whether a loss renders anything, or heights alone are enough for it.
+nn::Wanted wanted_by(const LossConfig& config, bool has_target);
+
 /// The training objective of one crop and what it says in numbers.
 struct LossReport {
   Var total;               ///< scalar
@@ -99,7 +108,9 @@ struct LossReport {
 };
 
 /// The training objective:
-///   L = sum_s w_s ( a smoothL1(H_s, H*) + b smoothL1(H^_s, H*_target) + c L_geo + L_app )
+///   L = sum_s w_s ( a smoothL1(H_s, H*) + g CE(P_s, H*) + b smoothL1(H^_s, H*_target) + c L_geo
+///                   + L_app )
+///   CE as `height_cross_entropy`: only where the truth lies within what the stage searches
 ///   L_geo = mean(m_geo (local + global) / 2), of `patch_pearson` of H_s with patches of an eighth,
 ///     a quarter and half of its side, randomly placed; none without relative heights
 ///   L_app = mean(m_app (d MSE + e (1 - SSIM))) + f LPIPS of the colours rendered in the target
@@ -110,7 +121,8 @@ struct LossReport {
 /// part in the moments of its patch, so L_geo of its doubtful neighbours reaches it. LPIPS is that
 /// of both pictures, black outside m_app, over the whole view, in stages as large as its network
 /// takes.
-/// Source: SatSurfGS, confidence-based routing of losses; the terms of H* are ours.
+/// Source: SatSurfGS, confidence-based routing of losses; the terms of H* are ours, CE after Chen et
+/// al. 2019.
 /// config   weights
 /// model    of the network: how confidence is read
 /// stages   what the network made of the crop

@@ -2,12 +2,14 @@
 #include "satsurf/train/trainer.h"
 
 #include "satsurf/core/fields_json.h"
+#include "satsurf/core/parallel.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/train/augment.h"
 #include "satsurf/train/loss.h"
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <numeric>
 #include <optional>
 
@@ -23,43 +25,106 @@ class SurfaceTask : public TrainingTask {
               std::uint64_t seed)
       : model_(model), config_(config), sample_(sample), seed_(seed) {
     if (!config.lpips_weights.empty()) lpips_ = nn::Lpips::load(config.lpips_weights);
+    if (config.batch > 1)
+      for (Index b = 0; b < config.batch; ++b) copies_.emplace_back(model.config(), seed);
   }
 
   nn::ParameterSet<float>& parameters() override { return model_.parameters(); }
   std::string prefix() const override { return nn::kModelPrefix; }
   void store(TensorFile& file) const override { nn::store_model(file, model_); }
-  StepLoss loss(Index step) const override {
-    const scene::Crop crop = sample_(step);
-    const LossReport loss =
-        training_loss(config_, model_.config(), model_.forward(crop.input), crop,
-                      {.step = step, .seed = seed_, .lpips = lpips_ ? &*lpips_ : nullptr});
+  Index batch() const override { return config_.batch; }
+  StepLoss loss(Index sample) const override { return loss(model_, sample); }
+
+  /// Every sample on one thread with a copy of the network; their gradients are added in order, so
+  /// that they do not depend on who was first.
+  StepLoss descend(Index step) override {
+    if (config_.batch == 1) return TrainingTask::descend(step);
+    std::vector<StepLoss> losses(copies_.size());
+    for_each_index(config_.batch, [&](Index b) {
+      const OnOneThread alone;
+      nn::Model& copy = copies_[static_cast<std::size_t>(b)];
+      take_values(copy.parameters());
+      copy.parameters().clear_grads();
+      StepLoss loss = this->loss(copy, step * config_.batch + b);
+      if (std::isfinite(loss.total.value().item())) loss.total.backward();
+      losses[static_cast<std::size_t>(b)] = {Var(loss.total.value()), std::move(loss.terms)};
+    });
+    add_gradients();
+    return mean_of(losses);
+  }
+
+ private:
+  StepLoss loss(const nn::Model& model, Index sample) const {
+    const scene::Crop crop = sample_(sample);
+    const LossReport loss = training_loss(
+        config_, model.config(),
+        model.forward(crop.input, {}, nullptr, wanted_by(config_, crop.target.has_value())), crop,
+        {.step = sample / config_.batch, .seed = seed_, .lpips = lpips_ ? &*lpips_ : nullptr});
     return {loss.total,
             {{"height_mae", loss.height_mae},
              {"colour_psnr", loss.colour_psnr},
              {"confident", loss.confident}}};
   }
 
- private:
+  void take_values(nn::ParameterSet<float>& copy) const {
+    for (std::size_t i = 0; i < copy.entries().size(); ++i) {
+      Var to = copy.entries()[i].var;
+      std::ranges::copy(model_.parameters().entries()[i].var.value().values(),
+                        to.mutable_value().values().begin());
+    }
+  }
+
+  /// The mean of the copies' gradients; none where no sample has any.
+  void add_gradients() {
+    const auto share = 1.f / static_cast<float>(config_.batch);
+    for (std::size_t i = 0; i < model_.parameters().entries().size(); ++i) {
+      Var to = model_.parameters().entries()[i].var;
+      for (nn::Model& copy : copies_) {
+        const Tensor& grad = copy.parameters().entries()[i].var.grad();
+        if (grad.empty()) continue;
+        if (to.grad().empty()) to.mutable_grad() = Tensor(to.shape());
+        for (Index k = 0; k < grad.count(); ++k) to.mutable_grad()[k] += share * grad[k];
+      }
+    }
+  }
+
+  /// Terms that some samples do not know are means over the others.
+  static StepLoss mean_of(const std::vector<StepLoss>& losses) {
+    double total = 0;
+    StepLoss out{{}, losses[0].terms};
+    for (std::size_t t = 0; t < out.terms.size(); ++t) {
+      double sum = 0, count = 0;
+      for (const StepLoss& loss : losses)
+        if (const double value = loss.terms[t].second; std::isfinite(value)) sum += value, ++count;
+      out.terms[t].second = count > 0 ? sum / count : std::nan("");
+    }
+    for (const StepLoss& loss : losses) total += static_cast<double>(loss.total.value().item());
+    out.total = Var(Tensor::scalar(static_cast<float>(total / static_cast<double>(losses.size()))));
+    return out;
+  }
+
   nn::Model& model_;
-  const LossConfig& config_;
+  const TrainConfig& config_;
   const SampleSource& sample_;
   std::uint64_t seed_;
   std::optional<nn::Lpips> lpips_;
+  std::vector<nn::Model> copies_;
 };
 
-}  // namespace
+/// A random one of the scenes that a sample may be cut from.
+using DrawScene = std::function<std::shared_ptr<const scene::Scene>(Rng&)>;
 
-scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::Scene>& scenes,
-                            std::uint64_t seed, Index step) {
-  Rng rng = Rng(seed).fork(static_cast<std::uint64_t>(step));
+scene::Crop cut_sample(const TrainConfig& config, const DrawScene& draw, std::uint64_t seed,
+                       Index sample) {
+  Rng rng = Rng(seed).fork(static_cast<std::uint64_t>(sample));
   // A window may lie where the truth is unknown or outside an image; a few tries always find a good
   // one.
   constexpr int kTries = 20;
   constexpr double kEnough = 0.6;  // share of source pixels with a known height
   scene::Crop crop;
   for (int attempt = 0; attempt < kTries; ++attempt) {
-    const scene::Scene& scene =
-        scenes[static_cast<std::size_t>(rng.below(static_cast<Index>(scenes.size())))];
+    const std::shared_ptr<const scene::Scene> drawn = draw(rng);
+    const scene::Scene& scene = *drawn;
     std::vector<Index> order(scene.views.size());
     std::iota(order.begin(), order.end(), Index{0});
     for (std::size_t i = order.size(); i-- > 1;)
@@ -116,7 +181,29 @@ scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::
   const Radiometry radiometry = random_radiometry(config.radiometry, config.grey_share, rng);
   for (nn::PosedImage& v : crop.input.sources) apply(radiometry, v);
   apply(radiometry, *crop.target);
+  if (config.radiometry_views > 0)
+    for (nn::PosedImage& v : crop.input.sources)
+      apply(random_radiometry(config.radiometry_views, 0, rng), v);
   return crop;
+}
+
+}  // namespace
+
+scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::Scene>& scenes,
+                            std::uint64_t seed, Index sample) {
+  const auto draw = [&](Rng& rng) {
+    const auto i = static_cast<std::size_t>(rng.below(static_cast<Index>(scenes.size())));
+    return std::shared_ptr<const scene::Scene>(std::shared_ptr<void>(), &scenes[i]);  // not owned
+  };
+  return cut_sample(config, draw, seed, sample);
+}
+
+scene::Crop training_sample(const TrainConfig& config, SceneStream& scenes, std::uint64_t seed,
+                            Index sample) {
+  const auto draw = [&](Rng& rng) {
+    return scenes.scene(scenes.first(sample) + rng.below(scenes.pool()));
+  };
+  return cut_sample(config, draw, seed, sample);
 }
 
 bool needs_branch(const TrainConfig& config) {
@@ -169,12 +256,26 @@ nn::Model train(const TrainConfig& config, const fs::path& data, std::uint64_t s
     throw ConfigError("train: mono_weights is " + config.mono_weights.string() + ", but " +
                       config.init.string() +
                       " has a monocular branch already, expected one of them");
-  const auto scenes = training_scenes(data, config.views + 1, callbacks.reading);  // and one target
   nn::Model model(config.model, seed);
   if (branch) nn::load_mono_branch(model, mono);
+  TrainingRun run{.seed = seed, .checkpoint = checkpoint};
+  if (data.empty()) {
+    if (config.simulate.views <= config.views)
+      throw ConfigError("train: simulate.views is " + std::to_string(config.simulate.views) +
+                        ", expected more than views, which is " + std::to_string(config.views) +
+                        ": one view is the target");
+    if (callbacks.reading) callbacks.reading(0);
+    SceneStream scenes(config.simulate, seed, config.scene_uses, config.scene_pool);
+    train_on_samples(
+        model, config, [&](Index i) { return training_sample(config, scenes, seed, i); }, run,
+        callbacks);
+    return model;
+  }
+  const auto scenes = training_scenes(data, config.views + 1, callbacks.reading);  // and one target
+  run.scenes = scenes.size();
   train_on_samples(
-      model, config, [&](Index step) { return training_sample(config, scenes, seed, step); },
-      {.seed = seed, .checkpoint = checkpoint, .scenes = scenes.size()}, callbacks);
+      model, config, [&](Index i) { return training_sample(config, scenes, seed, i); }, run,
+      callbacks);
   return model;
 }
 

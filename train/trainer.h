@@ -2,7 +2,9 @@
 #pragma once
 
 #include "satsurf/nn/model.h"
+#include "satsurf/scene/simulate/scene.h"
 #include "satsurf/train/loss.h"
+#include "satsurf/train/scene_stream.h"
 #include "satsurf/train/training.h"
 
 #include <filesystem>
@@ -19,7 +21,12 @@ struct TrainConfig : TrainingSettings, LossConfig {
   std::filesystem::path mono_weights;  ///< of the monocular branch, from `--task mono`; see `train`
   std::filesystem::path mono_found;    ///< the file where that is empty; no field, not recorded
   Index views = 3;                     ///< source views per sample; one more is the target
+  Index batch = 1;                     ///< samples per step, each on a thread of its own
   double range_jitter = 0.2;           ///< random widening of the height range, share of its span
+  double radiometry_views = 0;         ///< as `radiometry`, of every view by itself
+  scene::SimulateConfig simulate{};    ///< scenes made up on the way, where no data set is given
+  Index scene_uses = 12;               ///< samples of each of those
+  Index scene_pool = 24;               ///< of them to draw from at any time
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -34,8 +41,17 @@ struct TrainConfig : TrainingSettings, LossConfig {
             .automatic = "the shipped one",
             .flag = "--mono_weights,--mono-weights"});
     v("views", s.views, Field{.help = "source views per sample", .min = 2, .max = 8});
+    v("batch", s.batch,
+      Field{.help = "samples per step, each on a thread of its own", .min = 1, .max = 64});
     v("range_jitter", s.range_jitter,
       Field{.help = "random widening of the height range", .min = 0, .max = 2});
+    v("radiometry_views", s.radiometry_views,
+      Field{.help = "random gain, offset and gamma of every view by itself", .min = 0, .max = 0.9});
+    v("simulate", s.simulate, Field{.help = "scenes made up on the way, without --data"});
+    v("scene_uses", s.scene_uses,
+      Field{.help = "samples of each of them, on average", .min = 1, .max = 10000});
+    v("scene_pool", s.scene_pool,
+      Field{.help = "of them to draw from at any time", .min = 1, .max = 1000});
   }
 };
 
@@ -47,10 +63,10 @@ bool needs_branch(const TrainConfig& config);
 /// is missing, weights of a branch that the network does not have.
 std::vector<std::string> idle_settings(const TrainConfig& config);
 
-/// Sample number `step` of a run, from 0: windows of one place, all of one size, with what is known
+/// Sample number `sample` of a run, from 0, of which every step takes `batch`: windows of one place, all of one size, with what is known
 /// of its surface. It depends on nothing else, for it may be asked for again: by an interrupted run
 /// that goes on, or to find what made a loss infinite. May throw to stop.
-using SampleSource = std::function<scene::Crop(Index step)>;
+using SampleSource = std::function<scene::Crop(Index sample)>;
 
 /// Trains a network on samples of one's own.
 /// model      in training from its present parameters, or from what `init` or a checkpoint has; a
@@ -58,7 +74,7 @@ using SampleSource = std::function<scene::Crop(Index step)>;
 /// config     objective and optimiser; that of the network is the model's. What else concerns the
 ///            making of networks and samples is not read: `preset`, `mono_weights`, `crop`, `views`,
 ///            `range_jitter`, `radiometry`, `grey_share`
-/// sample     called for every step
+/// sample     called for every sample, by several threads at once if `batch` is more than one
 /// callbacks  what the caller is told; without `save` nothing is kept (see `keep_in`)
 /// throws     IoError, ConfigError; ShapeError if the samples do not fit the network; Error if a
 ///            loss is not finite
@@ -67,7 +83,7 @@ void train_on_samples(nn::Model& model, const TrainConfig& config, const SampleS
 
 /// Trains a new network on the scenes of a folder: `train_on_samples` of `training_sample`.
 /// config      all settings
-/// data        data set, see `scene::list_scenes`
+/// data        data set, see `scene::list_scenes`; empty: scenes are made up (`SceneStream`)
 /// seed        of the initial weights and the samples
 /// checkpoint  go on from this file, bit for bit as if never interrupted; empty for a new run
 /// callbacks   what the caller is told; without `save` nothing is kept
@@ -78,8 +94,11 @@ void train_on_samples(nn::Model& model, const TrainConfig& config, const SampleS
 nn::Model train(const TrainConfig& config, const std::filesystem::path& data, std::uint64_t seed,
                 const std::filesystem::path& checkpoint, const TrainingCallbacks& callbacks);
 
-/// Sample number `step` of a run: a pure function of scenes, configuration, seed and step.
+/// Sample number `sample` of a run: a pure function of scenes, configuration, seed and number.
 scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::Scene>& scenes,
-                            std::uint64_t seed, Index step);
+                            std::uint64_t seed, Index sample);
+/// The same from scenes that are made up on the way.
+scene::Crop training_sample(const TrainConfig& config, SceneStream& scenes, std::uint64_t seed,
+                            Index sample);
 
 }  // namespace satsurf::train

@@ -5,6 +5,7 @@
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/version.h"
 #include "satsurf/nn/adamw.h"
+#include "satsurf/nn/running_mean.h"
 
 #include <algorithm>
 #include <chrono>
@@ -80,7 +81,20 @@ void resume_from(const fs::path& checkpoint, TrainingTask& task, nn::AdamW& opti
   optimiser.load(file, checkpoint.string());
 }
 
+double learning_rate(const TrainingSettings& settings, Index step) {
+  if (settings.schedule == Schedule::constant &&
+      static_cast<double>(step) >= settings.warmup * static_cast<double>(settings.steps))
+    return settings.lr;
+  return nn::one_cycle_lr(settings.lr, settings.warmup, step, settings.steps);
+}
+
 }  // namespace
+
+StepLoss TrainingTask::descend(Index step) {
+  StepLoss loss = this->loss(step);
+  if (std::isfinite(loss.total.value().item())) loss.total.backward();
+  return {BasicVar<float>(loss.total.value()), std::move(loss.terms)};
+}
 
 double StepReport::term(const std::string& name) const {
   for (const auto& [key, value] : terms)
@@ -157,6 +171,9 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
   else if (!settings.init.empty())
     start_from(settings.init, task, callbacks);
   Index step = optimiser.steps();
+  nn::RunningMean average(task.parameters(), settings.average);
+  if (resume && settings.average > 0)
+    average.load(load_safetensors(run.checkpoint), run.checkpoint.string());
 
   const auto save = [&] {
     if (!callbacks.save) return;
@@ -167,6 +184,12 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
     task.store(weights);
     TensorFile checkpoint = weights;
     optimiser.store(checkpoint);
+    if (settings.average > 0) {
+      average.store(checkpoint);
+      average.swap();
+      task.store(weights);
+      average.swap();
+    }
     weights.metadata["train"] = without_folders(config).dump();
     callbacks.save(checkpoint, weights);
   };
@@ -174,14 +197,12 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
   for (bool go_on = true; go_on && step < settings.steps;) {
     const auto start = std::chrono::steady_clock::now();
     task.parameters().clear_grads();
-    StepReport report{.step = step + 1,
-                      .steps = settings.steps,
-                      .lr = nn::one_cycle_lr(settings.lr, settings.warmup, step, settings.steps)};
+    StepReport report{
+        .step = step + 1, .steps = settings.steps, .lr = learning_rate(settings, step)};
     {
-      StepLoss loss = task.loss(step);
+      StepLoss loss = task.descend(step);
       report.loss = static_cast<double>(loss.total.value().item());
       report.terms = std::move(loss.terms);
-      if (std::isfinite(report.loss)) loss.total.backward();
     }
     report.grad_norm = std::isfinite(report.loss)
                            ? nn::clip_gradient_norm(task.parameters(), settings.clip)
@@ -189,11 +210,12 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
     if (!std::isfinite(report.grad_norm)) {  // once more under guard, to name the op that broke
       task.parameters().clear_grads();
       const NanGuard guard;
-      task.loss(step).total.backward();
+      for (Index b = 0; b < task.batch(); ++b) task.loss(step * task.batch() + b).total.backward();
       throw Error(std::string("train: the ") + (std::isfinite(report.loss) ? "gradient" : "loss") +
                   " of step " + std::to_string(step + 1) + " is not finite");
     }
     optimiser.step(report.lr);
+    average.add();
     ++step;
     report.seconds =
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();

@@ -29,6 +29,21 @@ struct satsurf::EnumNames<satsurf::train::Task> {
 
 namespace satsurf::train {
 
+/// How the learning rate goes on after its rise.
+enum class Schedule {
+  one_cycle,  ///< down to nothing at the last step
+  constant    ///< at its peak, for runs that end when there is no more time: average the weights
+};
+
+}  // namespace satsurf::train
+
+template <>
+struct satsurf::EnumNames<satsurf::train::Schedule> {
+  static constexpr std::array names{"one_cycle", "constant"};
+};
+
+namespace satsurf::train {
+
 /// What every training run has, whatever network it trains.
 struct TrainingSettings {
   Task task = Task::surface;
@@ -38,6 +53,8 @@ struct TrainingSettings {
   Index crop = 128;  ///< window side, px
   double lr = 1e-3;
   double warmup = 0.03;  ///< share of the steps
+  Schedule schedule = Schedule::one_cycle;
+  double average = 0;  ///< what the averaged weights keep from step to step; 0 averages nothing
   double weight_decay = 0.01;
   double clip = 0.5;             ///< global gradient norm
   double grey_share = 0.4;       ///< share of the samples made panchromatic
@@ -56,6 +73,12 @@ struct TrainingSettings {
     v("crop", s.crop, Field{.help = "side of the training windows", .unit = "px", .min = 8});
     v("lr", s.lr, Field{.help = "peak learning rate", .min = 0, .max = 1});
     v("warmup", s.warmup, Field{.help = "share of the steps before the peak", .min = 0, .max = 1});
+    v("schedule", s.schedule, Field{.help = "learning rate after its rise"});
+    v("average", s.average,
+      Field{.help = "what the running mean of the weights keeps from step to step; it is what "
+                    "weights.safetensors has. 0: the weights of the last step",
+            .min = 0,
+            .max = 0.99999});
     v("weight_decay", s.weight_decay, Field{.help = "decoupled weight decay", .min = 0, .max = 1});
     v("clip", s.clip, Field{.help = "largest global gradient norm", .min = 0});
     v("grey_share", s.grey_share,
@@ -66,7 +89,7 @@ struct TrainingSettings {
   }
 };
 
-/// The objective of one step, and what it says in numbers.
+/// The objective of a sample or a step, and what it says in numbers.
 struct StepLoss {
   Var total;                                          ///< scalar
   std::vector<std::pair<std::string, double>> terms;  ///< as `train.jsonl` names them; may be NaN
@@ -106,8 +129,14 @@ class TrainingTask {
   virtual std::string prefix() const = 0;
   /// Adds the network to a file: its configuration and its parameters under `prefix()`.
   virtual void store(TensorFile& file) const = 0;
-  /// Step number `step`, from 0, with the parameters as they are: a pure function of both.
-  virtual StepLoss loss(Index step) const = 0;
+  /// Samples of a step.
+  virtual Index batch() const { return 1; }
+  /// The objective of sample number `sample`, from 0, with the parameters as they are: a pure
+  /// function of both.
+  virtual StepLoss loss(Index sample) const = 0;
+  /// The objective of step number `step`, from 0, the mean of its samples'; its gradient is left
+  /// with the parameters, which have none before, unless the objective is not finite.
+  virtual StepLoss descend(Index step);
 };
 
 /// What a run is, besides its network, settings and samples.

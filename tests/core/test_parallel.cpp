@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstring>
 #include <stdexcept>
+#include <thread>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -96,4 +97,25 @@ TEST_CASE("parallel: the cap on threads is reported and lifted") {
   CHECK(threads() == std::min(2, most));
   set_threads(0);
   CHECK(threads() >= 1);
+}
+
+TEST_CASE("parallel: a thread can be told to run its loops alone") {
+  std::vector<std::thread::id> ran(64);
+  {
+    const OnOneThread alone;
+    CHECK(threads() == 1);
+    { const OnOneThread nested; }
+    for_each_index(64,
+                   [&](Index i) { ran[static_cast<std::size_t>(i)] = std::this_thread::get_id(); });
+  }
+  for (const auto& id : ran) CHECK(id == std::this_thread::get_id());
+  CHECK(threads() >= 1);
+  CHECK_THROWS_WITH(
+      [] {
+        const OnOneThread alone;
+        for_each_index(3, [](Index i) {
+          if (i == 1) throw std::runtime_error("piece 1");
+        });
+      }(),
+      "piece 1");
 }

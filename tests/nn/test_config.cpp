@@ -83,6 +83,8 @@ TEST_CASE("choices are spelled as weights files have them, and presets are liste
   for (const FieldInfo& row : describe(config))
     if (row.type == "text") ranges += row.name + " " + row.value + ": " + row.range + "\n";
   CHECK(ranges ==
+        "height mean: mean | mode\n"
+        "centre bilinear: bilinear | nearest\n"
         "context reference: none | reference\n"
         "rotation camera+residual: camera | camera+residual | gradient\n"
         "mono own: none | own\n"

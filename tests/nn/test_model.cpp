@@ -193,6 +193,99 @@ TEST_CASE("fusion and guidance start as identities in the default configuration"
   CHECK(difference(paper, without) > 0.2);
 }
 
+TEST_CASE("what a network has beyond the base begins at nothing, and is reached") {
+  const auto scene = hill(32);
+  nn::ModelConfig base = nn::model_preset("tiny_full"), more = base;
+  more.best_pair = more.local_contrast = true;
+  more.feature_levels = 2;
+  const nn::BasicModel<double> before(base, 1), after(more, 1);
+  const auto x = before.forward(scene), y = after.forward(scene);
+  for (std::size_t s = 0; s < 3; ++s)
+    for (Index i = 0; i < x[s].height.count(); ++i)
+      REQUIRE(y[s].height.value()[i] == doctest::Approx(x[s].height.value()[i]).epsilon(1e-9));
+  objective(after, scene).backward();
+  Index grown = 0;
+  for (const auto& e : after.parameters().entries()) {
+    const bool is_new = e.name.ends_with(".first.more") || e.name.ends_with(".contrast") ||
+                        e.name == "features.around" || e.name.starts_with("features.level");
+    if (!is_new) continue;
+    ++grown;
+    double sum = 0;
+    for (const double g : e.var.grad().values()) sum += std::abs(g);
+    CHECK_MESSAGE((sum > 0) == !e.name.starts_with("features.level"), e.name);
+  }
+  CHECK(grown == 3 + 1 + 1 + 2 * 2 * 3);
+}
+
+TEST_CASE("the mode's heights and nearest centres") {
+  const auto scene = hill(32);
+  nn::ModelConfig config = nn::model_preset("tiny");
+  const auto mean = nn::Model(config, 1).forward(scene);
+  config.height = nn::HeightOf::mode;
+  config.centre = nn::Centre::nearest;
+  const auto mode = nn::Model(config, 1).forward(scene);
+  double moved = 0;
+  for (Index i = 0; i < mean[0].height.count(); ++i)
+    moved += std::abs(static_cast<double>(mean[0].height.value()[i] - mode[0].height.value()[i]));
+  CHECK(moved > 0.1);
+  // every 2 x 2 pixels of stage 2 search around one height of stage 1
+  const Tensor& z = mode[1].hypotheses;
+  const Index W = z.dim(3);
+  for (Index y = 0; y < z.dim(2); y += 2)
+    for (Index x = 0; x < W; x += 2)
+      for (const Index other : {Index{1}, W, W + 1}) REQUIRE(z[y * W + x] == z[y * W + x + other]);
+}
+
+TEST_CASE("heights alone are the heights of the whole pass") {
+  const auto scene = hill(32);
+  const nn::Model model(nn::model_preset("tiny_full"), 3);
+  const auto all = model.forward(scene),
+             heights = model.forward(scene, {}, nullptr, nn::Wanted::heights);
+  for (std::size_t s = 0; s < 3; ++s) {
+    CHECK(heights[s].surfels.means.empty());
+    for (Index i = 0; i < all[s].height.count(); ++i)
+      REQUIRE(heights[s].height.value()[i] == all[s].height.value()[i]);
+  }
+}
+
+TEST_CASE("local normalisation knows no gain, no offset, and no noise") {
+  Rng rng(4);
+  nn::PosedImage view;
+  view.rgb = normal_tensor<float>({3, 20, 30}, rng);
+  view.valid = Tensor({20, 30}, 1.f);
+  for (Index i = 0; i < 5; ++i) view.valid[7 * 30 + i] = 0;
+  nn::PosedImage brighter = view;
+  brighter.rgb = view.rgb.clone();
+  for (float& v : brighter.rgb.values()) v = 300 * v + 7;
+  for (float& v : view.rgb.values()) v *= 100;  // far above what counts as flat
+  const auto a = nn::locally_normalised<double>(view), b = nn::locally_normalised<double>(brighter);
+  REQUIRE(a.shape() == Shape{1, 1, 20, 30});
+  double squares = 0;
+  for (Index i = 0; i < a.count(); ++i) {
+    REQUIRE(a[i] == doctest::Approx(b[i]).epsilon(1e-3));
+    squares += a[i] * a[i];
+  }
+  CHECK(squares / 600 == doctest::Approx(1).epsilon(0.2));
+  for (Index i = 0; i < 5; ++i) CHECK(a[7 * 30 + i] == 0);
+  // by hand in the corner: the window is 8 x 8 pixels
+  double sum = 0, square = 0, count = 0;
+  for (Index y = 0; y < 8; ++y)
+    for (Index x = 0; x < 8; ++x) {
+      if (view.valid[y * 30 + x] == 0) continue;
+      double m = 0;
+      for (Index c = 0; c < 3; ++c) m += static_cast<double>(view.rgb[(c * 20 + y) * 30 + x]) / 3;
+      sum += m, square += m * m, count += 1;
+    }
+  double own = 0;
+  for (Index c = 0; c < 3; ++c) own += static_cast<double>(view.rgb[c * 600]) / 3;
+  const double mean = sum / count, deviation = std::sqrt(square / count - mean * mean);
+  CHECK(a[0] == doctest::Approx((own - mean) / (deviation + 0.01)));
+  view.rgb.fill(0.4f);
+  view.rgb[100] = 0.402f;  // half a grey level of 255
+  const auto flat = nn::locally_normalised<double>(view);
+  for (const double v : flat.values()) CHECK(std::abs(v) < 0.1);
+}
+
 TEST_CASE("every parameter receives a gradient") {
   for (const char* preset : {"tiny", "tiny_full"}) {
     const nn::BasicModel<float> model(nn::model_preset(preset), 1);

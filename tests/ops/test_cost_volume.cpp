@@ -60,7 +60,7 @@ template <class T>
 BasicTensor<T> variance(const Scene& s, bool masked, bool include_reference) {
   return plane_sweep_variance(BasicVar<T>(s.features.cast<T>()), s.reference, s.maps,
                               s.heights.cast<T>(), masked ? s.valid.cast<T>() : BasicTensor<T>{},
-                              include_reference)
+                              {.include_reference = include_reference})
       .value();
 }
 
@@ -134,9 +134,110 @@ TEST_CASE("plane_sweep_variance gradient") {
       if (N == 2 && !include) opt.zero_ok = {0};  // a single view has no variance
       CHECK(gradcheck(
           [&](const test::DoubleVars& v) {
-            return plane_sweep_variance(v[0], s.reference, s.maps, s.heights, s.valid, include);
+            return plane_sweep_variance(v[0], s.reference, s.maps, s.heights, s.valid,
+                                        {.include_reference = include});
           },
           {s.features}, opt));
+    }
+}
+
+namespace {
+
+/// The best pair's channels by their definition (ops/cost_volume.h), of one pixel and hypothesis:
+/// four distances and the share of the sources that see the point.
+std::array<double, 5> best_pair_ref(const Scene& s, bool masked, Index d, Index y, Index x) {
+  const Index N = s.features.dim(0), C = s.features.dim(1), H = s.features.dim(2),
+              W = s.features.dim(3);
+  std::array<double, 5> best{};
+  double least = INFINITY, count = 0;
+  for (Index j = 0; j < N; ++j) {
+    if (j == s.reference) continue;
+    const auto [u, v] = s.maps[static_cast<std::size_t>(j)](
+        static_cast<double>(x), static_cast<double>(y), s.heights[(d * H + y) * W + x]);
+    if (!(u >= 0 && u <= static_cast<double>(W - 1) && v >= 0 && v <= static_cast<double>(H - 1)))
+      continue;
+    const auto near_x = static_cast<Index>(std::floor(u + 0.5)),
+               near_y = static_cast<Index>(std::floor(v + 0.5));
+    if (masked && s.valid[(j * H + near_y) * W + near_x] == 0) continue;
+    ++count;
+    std::array<double, 4> distance{};
+    const auto x0 = std::min<Index>(static_cast<Index>(u), std::max<Index>(W - 2, 0)),
+               y0 = std::min<Index>(static_cast<Index>(v), std::max<Index>(H - 2, 0));
+    const double fx = u - static_cast<double>(x0), fy = v - static_cast<double>(y0);
+    for (Index c = 0; c < C; ++c) {
+      const auto at = [&](Index row, Index col) {
+        return s.features[((j * C + c) * H + std::min(row, H - 1)) * W + std::min(col, W - 1)];
+      };
+      const double f = (1 - fy) * ((1 - fx) * at(y0, x0) + fx * at(y0, x0 + 1)) +
+                       fy * ((1 - fx) * at(y0 + 1, x0) + fx * at(y0 + 1, x0 + 1)),
+                   own = s.features[((s.reference * C + c) * H + y) * W + x];
+      distance[static_cast<std::size_t>(c % 4)] +=
+          4.0 / static_cast<double>(C) * (own - f) * (own - f);
+    }
+    const double total = distance[0] + distance[1] + distance[2] + distance[3];
+    if (!(total < least)) continue;
+    least = total;
+    std::ranges::copy(distance, best.begin());
+  }
+  best[4] = count / static_cast<double>(N - 1);
+  return best;
+}
+
+}  // namespace
+
+TEST_CASE("the best pair's channels agree with their definition, the others stay as they are") {
+  const std::vector<std::array<Index, 6>> cases = {{3, 8, 3, 7, 9, 1}, {3, 5, 2, 6, 70, 0},
+                                                   {2, 3, 4, 5, 6, 1}, {4, 17, 2, 5, 8, 2},
+                                                   {3, 1, 2, 1, 7, 2}, {5, 32, 2, 4, 67, 3}};
+  for (const auto& [N, C, D, H, W, reference] : cases)
+    for (const bool masked : {false, true})
+      for (const bool include : {false, true}) {
+        CAPTURE(N);
+        CAPTURE(C);
+        CAPTURE(masked);
+        const Scene s = scene(N, C, D, H, W, reference, static_cast<std::uint64_t>(60 + C));
+        const auto plain = variance<double>(s, masked, include);
+        const auto with = [&]<class T>(T) {
+          return plane_sweep_variance(BasicVar<T>(s.features.cast<T>()), s.reference, s.maps,
+                                      s.heights.cast<T>(),
+                                      masked ? s.valid.cast<T>() : BasicTensor<T>{},
+                                      {.include_reference = include, .best_pair = true})
+              .value()
+              .template cast<double>();
+        };
+        for (const auto& [v, within] : {std::pair(with(0.0), 1e-12), {with(0.f), 1e-4}}) {
+          REQUIRE(v.shape() == Shape{C + kPairChannels, D, H, W});
+          double worst = 0;
+          for (Index i = 0; i < plain.count(); ++i)
+            worst = std::max(worst, std::abs(v[i] - plain[i]) / std::max(1.0, plain[i]));
+          for (Index d = 0; d < D; ++d)
+            for (Index y = 0; y < H; ++y)
+              for (Index x = 0; x < W; ++x) {
+                const auto want = best_pair_ref(s, masked, d, y, x);
+                for (Index k = 0; k < kPairChannels; ++k)
+                  worst = std::max(worst, std::abs(v[(((C + k) * D + d) * H + y) * W + x] -
+                                                   want[static_cast<std::size_t>(k)]) /
+                                              std::max(1.0, want[static_cast<std::size_t>(k)]));
+              }
+          CHECK(worst < within);
+        }
+      }
+}
+
+TEST_CASE("the best pair's gradient") {
+  const std::vector<std::array<Index, 6>> cases = {
+      {3, 2, 2, 7, 6, 1}, {2, 3, 2, 3, 5, 0}, {4, 5, 2, 4, 3, 2}, {3, 2, 2, 3, 66, 2}};
+  for (const auto& [N, C, D, H, W, reference] : cases)
+    for (const bool include : {false, true}) {
+      CAPTURE(N);
+      CAPTURE(W);
+      const Scene s = scene(N, C, D, H, W, reference, static_cast<std::uint64_t>(80 + H));
+      CHECK(gradcheck(
+          [&](const test::DoubleVars& v) {
+            return plane_sweep_variance(v[0], s.reference, s.maps, s.heights, s.valid,
+                                        {.include_reference = include, .best_pair = true});
+          },
+          {s.features}));
     }
 }
 

@@ -93,6 +93,111 @@ TEST_CASE("one and two threads train the same bytes") {
         bytes_of(folder.path() / "2" / "checkpoint.safetensors"));
 }
 
+TEST_CASE("a batch is its samples' mean, the same bytes on any number of threads") {
+  const TempFolder folder("trainer-batch");
+  TrainConfig c = tiny(4);
+  c.batch = 3;
+  c.distribution_weight = 1;
+  c.height_in_reach = true;
+  c.radiometry_views = 0.2;
+  c.average = 0.9;
+  c.schedule = Schedule::constant;
+  train_in_folder(c, data(), folder / "two", 4);
+  set_threads(1);
+  train_in_folder(c, data(), folder / "one", 4, false, stop_after(2));
+  train_in_folder(c, data(), folder / "one", 4, true);
+  set_threads(0);
+  for (const char* file : {"checkpoint.safetensors", "weights.safetensors"})
+    CHECK(bytes_of(folder.path() / "one" / file) == bytes_of(folder.path() / "two" / file));
+
+  // One step of three samples moves the weights as the mean of their gradients says.
+  const std::vector<scene::Scene> scenes = training_scenes(data(), 4, {});
+  nn::Model model(c.model, 4);
+  std::vector<double> sum;
+  for (Index i = 0; i < 3; ++i) {
+    model.parameters().clear_grads();
+    const Crop crop = training_sample(c, scenes, 4, i);
+    training_loss(c, c.model, model.forward(crop.input), crop, {.step = 0, .seed = 4})
+        .total.backward();
+    std::size_t k = 0;
+    for (const auto& e : model.parameters().entries())
+      for (const float g : e.var.grad().values()) {
+        if (i == 0) sum.push_back(0);
+        sum[k++] += static_cast<double>(g) / 3;
+      }
+  }
+  double norm = 0;
+  for (const double g : sum) norm += g * g;
+  double told = 0;
+  nn::Model trained(c.model, 4);
+  c.steps = 1;
+  train_on_samples(trained, c, [&](Index i) { return training_sample(c, scenes, 4, i); },
+                   {.seed = 4},
+                   {.step =
+                        [&](const StepReport& r) {
+                          told = r.grad_norm;
+                          return true;
+                        },
+                    .save = {},
+                    .reading = {},
+                    .note = {}});
+  CHECK(told == doctest::Approx(std::sqrt(norm)).epsilon(1e-4));
+}
+
+TEST_CASE("averaged weights lie between those of the steps") {
+  const TempFolder folder("trainer-mean");
+  TrainConfig c = tiny(6);
+  train_in_folder(c, data(), folder / "last", 4);
+  c.average = 0.9;
+  train_in_folder(c, data(), folder / "mean", 4);
+  const TensorFile last = load_safetensors(folder.path() / "last" / "weights.safetensors"),
+                   mean = load_safetensors(folder.path() / "mean" / "weights.safetensors"),
+                   check = load_safetensors(folder.path() / "mean" / "checkpoint.safetensors");
+  Index moved = 0;
+  for (const auto& [name, tensor] : last.tensors) {
+    const Tensor& trained = check.tensors.at(name);
+    for (Index i = 0; i < tensor.count(); ++i) {
+      REQUIRE(trained[i] == tensor[i]);  // averaging does not disturb the training
+      moved += mean.tensors.at(name)[i] != tensor[i];
+    }
+    const Tensor& kept = check.tensors.at("mean." + name.substr(std::string("model.").size()));
+    for (Index i = 0; i < kept.count(); ++i) REQUIRE(kept[i] == mean.tensors.at(name)[i]);
+  }
+  CHECK(moved > 100);
+}
+
+TEST_CASE("without a data set scenes are made up on the way, the same after an interruption") {
+  const TempFolder folder("trainer-stream");
+  TrainConfig c = tiny(4);
+  c.batch = 2;
+  c.scene_uses = 2;
+  c.scene_pool = 2;
+  c.simulate.pixels = 64;
+  c.simulate.views = 4;
+  c.simulate.gsd = 0.5;
+  train_in_folder(c, {}, folder / "whole", 5);
+  train_in_folder(c, {}, folder / "parts", 5, false, stop_after(2));
+  train_in_folder(c, {}, folder / "parts", 5, true);
+  CHECK(bytes_of(folder.path() / "parts" / "checkpoint.safetensors") ==
+        bytes_of(folder.path() / "whole" / "checkpoint.safetensors"));
+  SceneStream scenes(c.simulate, 5, 2, 3);
+  CHECK(scenes.first(0) == 0);
+  CHECK(scenes.first(5) == 2);
+  const auto third = scenes.scene(2);
+  CHECK(scenes.scene(2) == third);
+  CHECK(third->views.size() == 4);
+  REQUIRE(third->truth.has_value());
+  scenes.scene(20);  // far behind now
+  const auto again = scenes.scene(2);
+  CHECK(again != third);
+  CHECK(std::ranges::equal(again->views[0].rgb.values(), third->views[0].rgb.values()));
+  c.simulate.views = 3;
+  CHECK_THROWS_WITH_AS(train::train(c, {}, 5, {}, {}),
+                       "train: simulate.views is 3, expected more than views, which is 3: one view "
+                       "is the target",
+                       ConfigError);
+}
+
 TEST_CASE("training lowers the error on samples it has not seen") {
   const TempFolder folder("trainer-3");
   std::vector<Scene> scenes;

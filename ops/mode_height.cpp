@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/ops/mode_height.h"
+
+#include "satsurf/core/dims.h"
+#include "satsurf/core/parallel.h"
+
+#include <algorithm>
+#include <string>
+#include <vector>
+
+namespace satsurf {
+namespace {
+
+/// The first and last hypothesis near each mode, and the probability of them together.
+template <class T>
+struct Modes {
+  std::vector<std::int16_t> first, last;  ///< [B H W]
+  BasicTensor<T> mass;                    ///< [B H W]
+};
+
+}  // namespace
+
+template <class T>
+BasicVar<T> mode_height(const BasicVar<T>& probability, const BasicTensor<T>& heights,
+                        Index radius) {
+  Dims dim("mode_height");
+  dim.match("probability", probability, "B D H W").match("heights", heights, "B D H W");
+  const Index B = dim["B"], D = dim["D"], H = dim["H"], W = dim["W"], P = H * W;
+  if (D == 0)
+    throw ShapeError("mode_height: probability has shape " + probability.shape().str() +
+                     ", expected at least one hypothesis");
+  if (radius < 0)
+    throw ConfigError("mode_height: radius is " + std::to_string(radius) + ", expected 0 or more");
+  Modes<T> modes;
+  modes.first.resize(static_cast<std::size_t>(B * P));
+  modes.last.resize(modes.first.size());
+  modes.mass = BasicTensor<T>::uninitialised({B, H, W});
+  auto out = BasicTensor<T>::uninitialised({B, H, W});
+  const T *p = probability.value().data(), *h = heights.data();
+  for_each_index(B * H, [&](Index row) {
+    const Index at = row / H * D * P + row % H * W;  // of the volume
+    std::vector<T> highest(p + at, p + at + W);
+    std::vector<Index> mode(static_cast<std::size_t>(W), 0);
+    for (Index d = 1; d < D; ++d)
+      for (Index x = 0; x < W; ++x)
+        if (p[at + d * P + x] > highest[x]) {
+          highest[x] = p[at + d * P + x];
+          mode[x] = d;
+        }
+    for (Index x = 0; x < W; ++x) {
+      const Index first = std::max<Index>(0, mode[x] - radius),
+                  last = std::min(D - 1, mode[x] + radius);
+      T mass = 0, moment = 0;
+      for (Index d = first; d <= last; ++d) {
+        mass += p[at + d * P + x];
+        moment += p[at + d * P + x] * h[at + d * P + x];
+      }
+      const Index pixel = row * W + x;
+      out[pixel] = moment / mass;  // no smaller than 1 / D
+      modes.mass[pixel] = mass;
+      modes.first[pixel] = static_cast<std::int16_t>(first);
+      modes.last[pixel] = static_cast<std::int16_t>(last);
+    }
+  });
+  return BasicVar<T>::record(
+      "mode_height", out, {probability}, [=, modes = std::move(modes)](Node<T>& n) {
+        T* dp = n.grad_in(0);
+        if (dp == nullptr) return;
+        for_each_index(B * H, [&](Index row) {
+          const Index at = row / H * D * P + row % H * W;
+          for (Index x = 0; x < W; ++x) {
+            const Index pixel = row * W + x;
+            const T factor = n.grad[pixel] / modes.mass[pixel];
+            for (Index d = modes.first[pixel]; d <= modes.last[pixel]; ++d)
+              dp[at + d * P + x] += factor * (heights[at + d * P + x] - n.value[pixel]);
+          }
+        });
+      });
+}
+
+template Var mode_height(const Var&, const Tensor&, Index);
+template BasicVar<double> mode_height(const BasicVar<double>&, const BasicTensor<double>&, Index);
+
+}  // namespace satsurf
