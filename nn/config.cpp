@@ -14,6 +14,16 @@ ModelConfig base8() { return {}; }
 
 ModelConfig base16() { return {.base = 16, .volume_base = 16, .head_width = {96, 64, 48}}; }
 
+ModelConfig wide8() {
+  ModelConfig config = base8();
+  config.best_pair = true;
+  config.feature_levels = 2;
+  config.local_contrast = true;
+  config.height = HeightOf::mode;
+  config.centre = Centre::nearest;
+  return config;
+}
+
 ModelConfig tiny_full() {
   return {.base = 4,
           .hypotheses = {8, 8, 4},
@@ -58,11 +68,12 @@ ModelConfig skysplat_like() {
           .guidance = Guidance::none};
 }
 
-constexpr std::array<std::pair<const char*, ModelConfig (*)()>, 9> kPresets{
+constexpr std::array<std::pair<const char*, ModelConfig (*)()>, 10> kPresets{
     {{"tiny", tiny},
      {"tiny_full", tiny_full},
      {"base8", base8},
      {"base16", base16},
+     {"wide8", wide8},
      {"cascade8", cascade8},
      {"paper", paper},
      {"mvsplat_like", mvsplat_like},

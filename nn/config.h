@@ -108,6 +108,10 @@ struct ModelConfig {
 ///   tiny, tiny_full  for tests, as cascade8 and as base8
 ///   base8            the whole method
 ///   base16           features and volumes twice as wide, heads one and a half times
+///   wide8            base8 that looks around and through: features from a sixteenth of the
+///                    resolution and of local contrast, the best pair beside the variance, the mode
+///                    of each distribution, nearest centres of the search; trained for the
+///                    distribution, and with weights of base8 to start from
 ///   cascade8         base8 without monocular branch, fusion, guidance and context
 ///   paper            base8 with the published choices where the defaults are others: no context,
 ///                    surfels that face the camera, CMMF as it stands, raw max P for confidence.

@@ -50,14 +50,15 @@ scene::Crop window_of(const scene::Scene& scene, const ReconstructPlan& plan, co
                                   .z_range = scene.z_range});
 }
 
-/// The images with their cameras, which are those of the windows where these hold whole images.
+/// The images with their cameras, which are those of the windows where these hold whole images as
+/// they lie in their files.
 /// last  the window of the last tile
 std::vector<nn::PosedImage> whole_images(const scene::Scene& scene, const ReconstructPlan& plan,
                                          const scene::Crop& last) {
   std::vector<nn::PosedImage> images;
   for (std::size_t i = 0; i < scene.views.size(); ++i)
     images.push_back(
-        plan.whole_images
+        plan.whole_images && last.quarters[i] == 0
             ? scene::posed_image(scene.views[i], last.input.sources[i], last.origins[i])
             : scene::posed_image(scene.views[i], scene.frame, scene.z_range));
   return images;

@@ -135,4 +135,19 @@ Rpc Rpc::resized(double factor) const {
   return r;
 }
 
+Rpc Rpc::turned(int quarters, Index width, Index height) const {
+  if (quarters == 0) return *this;
+  Rpc r = *this;
+  r.samp_off = static_cast<double>(height - 1) - line_off;
+  r.samp_scale = line_scale;
+  r.samp_num = line_num;
+  for (double& c : r.samp_num) c = -c;
+  r.samp_den = line_den;
+  r.line_off = samp_off;
+  r.line_scale = samp_scale;
+  r.line_num = samp_num;
+  r.line_den = samp_den;
+  return r.turned(quarters - 1, height, width);
+}
+
 }  // namespace satsurf::rpc

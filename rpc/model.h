@@ -54,6 +54,11 @@ struct Rpc {
   /// The camera of the image resized by `factor` (0.5 halves it):
   /// pixel centres move to (x + 0.5) factor - 0.5.
   Rpc resized(double factor) const;
+  /// The camera of the image turned clockwise: one quarter moves pixel (x, y) to
+  /// (height - 1 - y, x).
+  /// quarters       0 to 3
+  /// width, height  of the image before, px
+  Rpc turned(int quarters, Index width, Index height) const;
 
   friend bool operator==(const Rpc&, const Rpc&) = default;
 };

@@ -26,7 +26,28 @@ Tensor cut(const Tensor& image, Index x0, Index y0, Index size) {
   return out;
 }
 
+/// A square window [S S] or [C S S], turned clockwise.
+Tensor turned(Tensor window, int quarters) {
+  const Index S = window.dim(window.rank() - 1);
+  for (; quarters > 0; --quarters) {
+    auto out = Tensor::uninitialised(window.shape());
+    for (Index i = 0; i < out.count(); ++i) {
+      const Index y = i / S % S, x = i % S;  // came from row S - 1 - x, column y
+      out[i] = window[i / (S * S) * S * S + (S - 1 - x) * S + y];
+    }
+    window = std::move(out);
+  }
+  return window;
+}
+
 }  // namespace
+
+int quarters_to_north(const rpc::Rpc& camera, const rpc::Geodetic& where) {
+  const auto [x, y] = camera.jacobian(where);
+  const double right = x[1], down = y[1];  // where the image goes towards the north
+  if (std::abs(down) >= std::abs(right)) return down > 0 ? 2 : 0;
+  return right > 0 ? 3 : 1;
+}
 
 Crop make_crop(const Scene& scene, const CropOptions& options) {
   const rpc::Geodetic centre = scene.frame.geodetic_from_local(options.centre);
@@ -39,6 +60,7 @@ Crop make_crop(const Scene& scene, const CropOptions& options) {
   std::vector<rpc::Rpc> cameras(all);
   std::vector<nn::PosedImage> views(all);
   std::vector<std::array<Index, 2>> origins(all);
+  std::vector<int> quarters(all, 0);
   for_each_index(static_cast<Index>(all), [&](Index k) {
     const auto i = static_cast<std::size_t>(k);
     const View& from = scene.views[static_cast<std::size_t>(chosen[i])];
@@ -46,9 +68,10 @@ Crop make_crop(const Scene& scene, const CropOptions& options) {
     const double half = (static_cast<double>(size) - 1) / 2;
     const double x0 = std::round(pixel.x - half), y0 = std::round(pixel.y - half);
     origins[i] = {static_cast<Index>(x0), static_cast<Index>(y0)};
-    cameras[i] = from.rpc.cropped(x0, y0);
-    views[i] = {cut(from.rgb, origins[i][0], origins[i][1], size),
-                cut(from.valid, origins[i][0], origins[i][1], size),
+    if (i < N) quarters[i] = quarters_to_north(from.rpc, centre);
+    cameras[i] = from.rpc.cropped(x0, y0).turned(quarters[i], size, size);
+    views[i] = {turned(cut(from.rgb, origins[i][0], origins[i][1], size), quarters[i]),
+                turned(cut(from.valid, origins[i][0], origins[i][1], size), quarters[i]),
                 rpc::fit_localisation(cameras[i], scene.frame, window, options.z_range),
                 rpc::fit_projection(cameras[i], scene.frame, window, options.z_range)};
   });
@@ -78,6 +101,8 @@ Crop make_crop(const Scene& scene, const CropOptions& options) {
   origins.resize(N);
   crop.input.sources = std::move(views);
   crop.origins = std::move(origins);
+  quarters.resize(N);
+  crop.quarters = std::move(quarters);
   return crop;
 }
 

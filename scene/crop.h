@@ -10,7 +10,15 @@
 
 namespace satsurf::scene {
 
-/// A square window of every chosen view around one ground point, ready for the network.
+/// Quarter turns clockwise after which north is up in an image, to within an eighth of a turn: a
+/// network that learned from images of one orientation does not know the others, and vendors
+/// deliver all of them.
+/// where  a point that the image shows
+/// returns  0 to 3
+int quarters_to_north(const rpc::Rpc& camera, const rpc::Geodetic& where);
+
+/// A square window of every chosen view around one ground point, ready for the network: sources are
+/// turned until north is up.
 struct Crop {
   nn::NetworkInput input;
   std::optional<nn::PosedImage> target;  ///< the view to be rendered, not among the sources
@@ -20,6 +28,7 @@ struct Crop {
   Tensor target_truth;  ///< [H W], or empty
   /// Column and row of each source's image at which its window begins; may lie outside.
   std::vector<std::array<Index, 2>> origins;
+  std::vector<int> quarters;  ///< by which each source's window was then turned
 };
 
 /// Which windows are cut.

@@ -206,6 +206,10 @@ LossConfig loss_preset(const std::string& name) {
   if (name == "paper") {
     c.height_weight = c.render_height_weight = 0;
     c.appearance_warmup = 0;
+  } else if (name == "wide8") {
+    c.distribution_weight = 1;
+    c.height_in_reach = true;
+    c.height_weight = 0.3;
   } else if (name == "cascade8" || name == "tiny") {
     unrouted();
   } else if (name == "mvsplat_like") {

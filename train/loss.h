@@ -80,6 +80,7 @@ struct LossConfig {
 
 /// The objective that belongs to a model preset (nn/config.h):
 ///   paper           no true heights, no warm-up of the routing
+///   wide8           the distribution of heights before their mean
 ///   cascade8, tiny  no routing and no correlation
 ///   *_like          the terms and stage weights those are trained with: no routing, no SSIM, LPIPS
 ///                   0.05 (where `lpips_weights` names its network), of one stage only the last; of

@@ -73,6 +73,13 @@ TEST_CASE("presets differ from base8 in what they say and in nothing else") {
   wide.head_width = {96, 64, 48};
   CHECK(model_preset("base16") == wide);
 
+  ModelConfig around = model_preset("base8");
+  around.best_pair = around.local_contrast = true;
+  around.feature_levels = 2;
+  around.height = nn::HeightOf::mode;
+  around.centre = nn::Centre::nearest;
+  CHECK(model_preset("wide8") == around);
+
   CHECK(model_preset("tiny") == matching_alone(model_preset("tiny_full")));
   CHECK_THROWS_AS(model_preset("base9"), ConfigError);
 }
@@ -97,9 +104,9 @@ TEST_CASE("choices are spelled as weights files have them, and presets are liste
   set_field(config, "rotation", "camera");
   CHECK(config.rotation == nn::Rotation::camera);
 
-  const std::vector<std::string> names{"tiny",         "tiny_full",    "base8",
-                                       "base16",       "cascade8",     "paper",
-                                       "mvsplat_like", "hisplat_like", "skysplat_like"};
+  const std::vector<std::string> names{"tiny",         "tiny_full",    "base8", "base16",
+                                       "wide8",        "cascade8",     "paper", "mvsplat_like",
+                                       "hisplat_like", "skysplat_like"};
   CHECK(nn::model_preset_names() == names);
   for (const std::string& name : names) CHECK_NOTHROW(model_preset(name));
 }

@@ -2,6 +2,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/scene/crop.h"
 
 #include <algorithm>
 #include <cmath>
@@ -180,6 +181,52 @@ TEST_CASE("every image keeps the camera its window was given") {
             CHECK(std::hypot(pixel[0] - x, pixel[1] - y) < 1e-3);
           }
     }
+  }
+}
+
+TEST_CASE("an image turned with its camera gives the same surface") {
+  const scene::SimulatedScene made = test::village(96, 3);
+  const scene::Scene scene =
+      scene::scene_from_images(test::HeldImages(made).images(), test::range_of(made)).scene;
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  const Reconstruction upright = reconstruct::reconstruct(model, scene, {});
+  const auto to_north = [](const scene::Scene& of) {
+    return scene::quarters_to_north(of.views[1].rpc,
+                                    of.frame.geodetic_from_local({0, 0, of.z_range.middle()}));
+  };
+  for (const int quarters : {1, 2, 3}) {
+    CAPTURE(quarters);
+    scene::Scene other = scene;
+    scene::View& view = other.views[1];
+    view.rpc = view.rpc.turned(quarters, 96, 96);
+    for (int q = 0; q < quarters; ++q) {
+      Tensor rgb(view.rgb.shape()), valid(view.valid.shape());
+      for (Index y = 0; y < 96; ++y)
+        for (Index x = 0; x < 96; ++x) {  // clockwise: (x, y) goes to (95 - y, x)
+          for (Index c = 0; c < 3; ++c)
+            rgb[(c * 96 + x) * 96 + 95 - y] = view.rgb[(c * 96 + y) * 96 + x];
+          valid[x * 96 + 95 - y] = view.valid[y * 96 + x];
+        }
+      view.rgb = rgb, view.valid = valid;
+    }
+    CHECK(to_north(other) == (to_north(scene) + 4 - quarters) % 4);
+    const Reconstruction turned = reconstruct::reconstruct(model, other, {});
+    REQUIRE(turned.dsm.z.shape() == upright.dsm.z.shape());
+    double sum = 0, both = 0, one = 0;
+    for (Index i = 0; i < turned.dsm.z.count(); ++i) {
+      const double a = static_cast<double>(turned.dsm.z[i]),
+                   b = static_cast<double>(upright.dsm.z[i]);
+      one += std::isfinite(a) != std::isfinite(b) ? 1 : 0;
+      if (std::isfinite(a) && std::isfinite(b)) sum += std::abs(a - b), both += 1;
+    }
+    CHECK(both > 1000);
+    CHECK(sum / both < 0.01);
+    CHECK(one < 0.002 * both);
+    // the images come out as they went in
+    CHECK(same_bits(turned.images[1].rgb, view.rgb));
+    const auto ground = turned.images[1].local_from_pixel(20, 30, 0);
+    const auto p = other.frame.local_from_geodetic(view.rpc.localize({20, 30}, other.frame.h0));
+    CHECK(std::hypot(ground[0] - p[0], ground[1] - p[1]) < 1e-2);
   }
 }
 

@@ -125,6 +125,22 @@ TEST_CASE("a scene across the antimeridian is one piece") {
   }
 }
 
+TEST_CASE("a turned image has a turned camera") {
+  Rng rng(4);
+  const Rpc r = test::synthetic_rpc();
+  const Index width = 700, height = 300;
+  for (int i = 0; i < 20; ++i) {
+    const Geodetic p = random_point(r, rng);
+    const Pixel at = r.project(p);
+    const double right = static_cast<double>(width) - 1, bottom = static_cast<double>(height) - 1;
+    CHECK(distance(r.turned(1, width, height).project(p), {bottom - at.y, at.x}) < 1e-9);
+    CHECK(distance(r.turned(2, width, height).project(p), {right - at.x, bottom - at.y}) < 1e-9);
+    CHECK(distance(r.turned(3, width, height).project(p), {at.y, right - at.x}) < 1e-9);
+    CHECK(distance(r.turned(3, width, height).turned(1, height, width).project(p), at) < 1e-9);
+  }
+  CHECK(r.turned(0, width, height) == r);
+}
+
 TEST_CASE("crop and resize move pixels and nothing else") {
   Rng rng(3);
   const Rpc r = test::synthetic_rpc(), crop = r.cropped(1200, 345), half = r.resized(0.5);

@@ -157,6 +157,41 @@ TEST_CASE("the height and colour losses are what they are defined as") {
         doctest::Approx(2 * squared_error(target_view(made, 2))).epsilon(1e-4));
 }
 
+TEST_CASE("the loss of the distribution, and of heights within reach") {
+  const Crop crop = hill();
+  const nn::ModelConfig config = nn::model_preset("tiny");
+  const auto stages = nn::Model(config, 2).forward(crop.input);
+  const auto total = [&](const LossConfig& loss) {
+    return static_cast<double>(training_loss(loss, config, stages, crop).total.value().item());
+  };
+  LossConfig only;
+  only.colour_weight = only.ssim_weight = only.lpips_weight = only.render_height_weight = 0;
+  only.geo_weight = 0;
+  CHECK(wanted_by(only, true) == nn::Wanted::heights);
+  CHECK(wanted_by({}, true) == nn::Wanted::surfels);
+  CHECK(wanted_by({}, false) == nn::Wanted::heights);
+  LossConfig distribution = only;
+  distribution.height_weight = 0;
+  distribution.distribution_weight = 1;
+  distribution.stage_weight = {1, 0, 0};
+  // An untrained network gives every height about the same probability.
+  CHECK(total(distribution) ==
+        doctest::Approx(std::log(static_cast<double>(config.hypotheses[0]))).epsilon(0.2));
+  // A truth that no stage but the first searches for teaches the others nothing.
+  Crop far = crop;
+  for (std::size_t s = 1; s < 3; ++s)
+    for (Tensor& map : far.source_truth[s]) map = Tensor(map.shape(), 1000.f);
+  LossConfig in_reach = only;
+  in_reach.stage_weight = {0, 1, 1};
+  const auto far_loss = [&](const LossConfig& loss) {
+    return static_cast<double>(training_loss(loss, config, stages, far).total.value().item());
+  };
+  CHECK(far_loss(in_reach) > 900);
+  in_reach.height_in_reach = true;
+  in_reach.distribution_weight = 1;
+  CHECK(far_loss(in_reach) == 0);
+}
+
 TEST_CASE("appearance learns from confident pixels, from all while it warms up") {
   Made made;
   LossConfig routed = silent();
@@ -271,6 +306,11 @@ TEST_CASE("the losses of presets") {
   };
   CHECK(same(loss_preset("base8"), {}));
   CHECK(same(loss_preset("base16"), {}));
+  LossConfig distribution;
+  distribution.distribution_weight = 1;
+  distribution.height_in_reach = true;
+  distribution.height_weight = 0.3;
+  CHECK(same(loss_preset("wide8"), distribution));
   CHECK(same(loss_preset("paper"), paper));
   CHECK(same(loss_preset("cascade8"), cascade));
   CHECK(same(loss_preset("mvsplat_like"), mvsplat));
