@@ -82,13 +82,34 @@ class Painter {
   void run() {
     city_.field.z = Tensor::uninitialised({N_, N_});
     city_.cells.resize(static_cast<std::size_t>(N_ * N_));
+    city_.fine.resize(city_.cells.size());
+    city_.patch.resize(city_.cells.size());
+    const bool trees = !layout_.trees.empty();
+    if (trees) {
+      city_.floor.resize(city_.cells.size());
+      city_.floor_z = Tensor::uninitialised({N_, N_});
+    }
     for_range(N_, kBand, [&](Index begin, Index end) {
       for (Index i = begin; i < end; ++i) {
-        for (Index j = 0; j < N_; ++j) paint_ground(i, j);
+        for (Index j = 0; j < N_; ++j) {
+          paint_ground(i, j);
+          const Index k = i * N_ + j;
+          const auto byte = [](float v) {
+            return static_cast<std::int8_t>(std::clamp(100.0f * v, -127.0f, 127.0f));
+          };
+          city_.fine[static_cast<std::size_t>(k)] = byte(fine_[k]);
+          city_.patch[static_cast<std::size_t>(k)] = byte(0.7f * middle_[k] + 0.7f * wide_[k]);
+        }
       }
       for (std::size_t k = 0; k < city_.parts.size(); ++k) paint_part(k, begin, end);
-      for (const Tree& t : layout_.trees) paint_tree(t, begin, end);
       for (const Car& c : layout_.cars) paint_car(c, begin, end);
+      if (!trees) return;
+      const auto first = begin * N_, last = end * N_;
+      std::copy(city_.cells.begin() + first, city_.cells.begin() + last,
+                city_.floor.begin() + first);
+      std::copy(city_.field.z.data() + first, city_.field.z.data() + last,
+                city_.floor_z.data() + first);
+      for (const Tree& t : layout_.trees) paint_tree(t, begin, end);
     });
     finish();
   }
@@ -105,13 +126,14 @@ class Painter {
   float y_of(Index i) const { return half_ - (static_cast<float>(i) + 0.5f) * step_; }
 
   void put(Index i, Index j, float z, const Colour& c, Material m, std::uint16_t part,
-           float extra = 0) {
+           float extra = 0, std::uint16_t plant = 0, float uneven = 1) {
     const Index k = i * N_ + j;
     const Texture t = texture_of(m);
+    const float grain =
+        t.grain * bell(hash(static_cast<std::int32_t>(i), static_cast<std::int32_t>(j), seed_));
     const float f =
         1 + extra +
-        t.grain * bell(hash(static_cast<std::int32_t>(i), static_cast<std::int32_t>(j), seed_)) +
-        t.fine * fine_[k] + t.middle * middle_[k] + t.wide * wide_[k];
+        uneven * (grain + t.fine * fine_[k] + t.middle * middle_[k] + t.wide * wide_[k]);
     SurfaceCell& cell = city_.cells[static_cast<std::size_t>(k)];
     for (std::size_t b = 0; b < 3; ++b) {
       cell.albedo[b] = static_cast<std::uint16_t>(
@@ -119,6 +141,7 @@ class Painter {
     }
     cell.material = m;
     cell.part = part;
+    cell.plant = plant;
     city_.field.z[k] = z;
   }
 
@@ -195,14 +218,16 @@ class Painter {
         const float bare = middle_[k] + 0.7f * wide_[k] - 0.75f;
         Colour c = b.colour;
         if (bare > 0) mix(c, wild_soil_, std::min(1.0f, 2.5f * bare));
-        return put(i, j, z + 0.06f * fine_[k], c, Material::grass, 0);
+        return put(i, j, z + 0.06f * fine_[k], c, Material::grass, 0, 0,
+                   static_cast<std::uint16_t>(b.seed));
       }
       case Ground::bare:
         return put(i, j, z + 0.10f * middle_[k] + 0.04f * fine_[k], b.colour, Material::soil, 0);
       case Ground::crop: {
         const float row = across / b.row_period, wave = std::sin(6.2832f * row);
         const float height = b.colour[1] > b.colour[0] * 0.95f ? 0.5f : 0.12f;
-        return put(i, j, z + 0.5f * height * wave, b.colour, Material::field, 0, 0.16f * wave);
+        return put(i, j, z + 0.5f * height * wave, b.colour, Material::field, 0, 0.16f * wave,
+                   static_cast<std::uint16_t>(b.seed));
       }
       case Ground::wild:
         break;
@@ -324,13 +349,33 @@ class Painter {
                     const bool parapet = p.roof == Roof::flat && lift > 0;
                     put(i, j, z, parapet ? p.parapet_colour : p.roof_colour, Material::roof,
                         static_cast<std::uint16_t>(n + 1),
-                        parapet ? 0.0f : roof_pattern(p, along, across, i, j));
+                        parapet ? 0.0f : roof_pattern(p, along, across, i, j), 0,
+                        parapet ? 1.0f : p.texture);
                   });
   }
 
+  // A crown is one dome or cone, or several around a large tree's trunk; it is ragged, and here and
+  // there one sees the ground through it from straight above.
   void paint_tree(const Tree& t, Index begin, Index end) {
-    const bool conifer = (t.seed & 1u) != 0;
-    const float reach = 1.15f * t.radius;
+    const bool conifer = (t.seed & 1u) != 0, rock = t.material == Material::rock;
+    struct Lobe {
+      float x, y, inverse_r2, height;
+    };
+    std::array<Lobe, 4> lobes{{{0, 0, 1 / (t.radius * t.radius), 1}}};
+    std::size_t count = 1;
+    if (!rock && !conifer && t.radius > 2.2f) {
+      for (; count < lobes.size(); ++count) {
+        const std::uint32_t h = hash(static_cast<std::int32_t>(count), 31, t.seed);
+        const float turn = 6.2832f * unit(h), away = 0.55f * t.radius,
+                    r = t.radius * (0.4f + 0.35f * unit(hash(1, 0, h)));
+        lobes[count] = {away * std::cos(turn), away * std::sin(turn), 1 / (r * r),
+                        0.65f + 0.4f * unit(hash(2, 0, h))};
+      }
+      lobes[0].inverse_r2 *= 1.8f;
+    }
+    const float reach = 1.35f * t.radius;
+    const auto number =
+        static_cast<std::uint16_t>((t.seed >> 16 & 0xFFu) << 8 | (t.deciduous ? 128u : 0u));
     for_footprint(
         t.x, t.y, 1, 0, reach, reach, begin, end, [&](Index i, Index j, float dx, float dy) {
           const Index k = i * N_ + j;
@@ -338,65 +383,83 @@ class Painter {
           if (under.part != 0) return;  // trees next to a house are cut back
           // Crowns are ragged; the floor keeps large negative noise from turning them inside out.
           const float ragged = std::max(0.25f, 1 + 0.38f * fine_[k] + 0.40f * middle_[k]);
-          const float q = (dx * dx + dy * dy) / (t.radius * t.radius) * ragged;
-          if (q >= 1) return;
-          const float dome = conifer ? 1 - std::sqrt(q) : std::sqrt(1 - q);
-          const float z = t.base + t.height * (0.35f + 0.65f * dome) * (1 + 0.06f * fine_[k]);
+          float top = 0, rim = 1, lit = 0;
+          for (std::size_t n = 0; n < count; ++n) {
+            const Lobe& l = lobes[n];
+            const float x = dx - l.x, y = dy - l.y, q = (x * x + y * y) * l.inverse_r2 * ragged;
+            if (q >= 1) continue;
+            const float dome = conifer ? 1 - std::sqrt(q) : std::sqrt(1 - q);
+            const float height = l.height * (0.35f + 0.65f * dome);
+            if (height > top) top = height, lit = dome;
+            rim = std::min(rim, q);
+          }
+          if (top == 0) return;
+          if (!rock && fine_[k] + 0.25f * rim > 1.05f) return;
+          const float z = t.base + t.height * top * (1 + 0.06f * fine_[k]);
           if (z <= city_.field.z[k]) return;
-          put(i, j, z, t.colour, t.material, 0, 0.35f * (dome - 0.6f));
+          const auto edge = static_cast<std::uint16_t>(127.0f * rim);
+          put(i, j, z, t.colour, t.material, 0, 0.35f * (lit - 0.6f),
+              rock ? std::uint16_t{0} : static_cast<std::uint16_t>(number | edge));
         });
   }
 
   void paint_car(const Car& c, Index begin, Index end) {
-    const float a = 0.5f * c.length, b = c.length > 5.5f ? 1.15f : 0.9f,
-                tall = c.length > 5.5f ? 2.8f : 1.45f;
-    for_footprint(
-        c.x, c.y, c.cos, c.sin, a, b, begin, end, [&](Index i, Index j, float along, float) {
-          const Index k = i * N_ + j;
-          if (city_.cells[static_cast<std::size_t>(k)].part != 0) return;
-          const float nose = std::abs(along) / a;
-          const bool glass = c.length <= 5.5f && nose > 0.35f && nose < 0.6f;
-          const float z =
-              layout_.terrain[k] + (nose > 0.6f && c.length <= 5.5f ? 0.65f * tall : tall);
-          put(i, j, std::max(z, city_.field.z[k]), glass ? Colour{0.04f, 0.045f, 0.05f} : c.colour,
-              Material::car, 0);
-        });
+    const float a = 0.5f * c.length, b = 0.5f * c.width;
+    for_footprint(c.x, c.y, c.cos, c.sin, a, b, begin, end,
+                  [&](Index i, Index j, float along, float) {
+                    const Index k = i * N_ + j;
+                    const SurfaceCell& under = city_.cells[static_cast<std::size_t>(k)];
+                    if ((under.part != 0) != c.deck || under.material == Material::car) return;
+                    const float nose = std::abs(along) / a;
+                    const bool glass = c.tall < 2 && nose > 0.35f && nose < 0.6f;
+                    const float tall = nose > 0.6f && c.tall < 2 ? 0.65f * c.tall : c.tall;
+                    put(i, j, (c.deck ? city_.field.z[k] : layout_.terrain[k]) + tall,
+                        glass ? Colour{0.04f, 0.045f, 0.05f} : c.colour, Material::car, 0);
+                  });
   }
 
   // Slopes within each surface, and how much of the sky is hidden by what stands around.
   void finish() {
     const Tensor near = box_mean(city_.field.z, static_cast<Index>(std::lround(4.0f / step_)));
     const Tensor far = box_mean(near, static_cast<Index>(std::lround(9.0f / step_)));
-    const float steepest = 3.0f * step_;
     for_range(N_, kBand, [&](Index begin, Index end) {
       for (Index i = begin; i < end; ++i) {
         for (Index j = 0; j < N_; ++j) {
-          const Index k = i * N_ + j;
-          SurfaceCell& cell = city_.cells[static_cast<std::size_t>(k)];
-          const float z = city_.field.z[k];
-          const auto slope = [&](Index before, Index after) {
-            float sum = 0, count = 0;
-            for (const Index other : {before, after}) {
-              if (other < 0) continue;
-              const SurfaceCell& o = city_.cells[static_cast<std::size_t>(other)];
-              const float dz = city_.field.z[other] - z;
-              const bool same = o.part == cell.part &&
-                                (o.material == Material::tree) == (cell.material == Material::tree);
-              if (!same || std::abs(dz) > steepest) continue;
-              sum += other == after ? dz : -dz;
-              count += 1;
-            }
-            const float g = count > 0 ? sum / (count * step_) : 0.0f;
-            return static_cast<std::int16_t>(std::lround(4096.0f * std::clamp(g, -4.0f, 4.0f)));
-          };
-          cell.slope_x = slope(j > 0 ? k - 1 : -1, j + 1 < N_ ? k + 1 : -1);
-          cell.slope_y = slope(i + 1 < N_ ? k + N_ : -1, i > 0 ? k - N_ : -1);
-          const float hidden =
-              0.09f * std::max(0.0f, near[k] - z) + 0.05f * std::max(0.0f, far[k] - z);
-          cell.sky = static_cast<std::uint8_t>(255.0f / (1 + hidden));
+          const auto k = static_cast<std::size_t>(i * N_ + j);
+          shape(city_.cells, city_.field.z, near, far, i, j);
+          // Under no tree the floor is what is seen anyway.
+          if (!city_.floor.empty() && city_.cells[k].material == Material::tree)
+            shape(city_.floor, city_.floor_z, near, far, i, j);
         }
       }
     });
+  }
+
+  void shape(std::vector<SurfaceCell>& cells, const Tensor& z, const Tensor& near,
+             const Tensor& far, Index i, Index j) {
+    const Index k = i * N_ + j;
+    SurfaceCell& cell = cells[static_cast<std::size_t>(k)];
+    const float steepest = 3.0f * step_;
+    const auto slope = [&](Index before, Index after) {
+      float sum = 0, count = 0;
+      for (const Index other : {before, after}) {
+        if (other < 0) continue;
+        const SurfaceCell& o = cells[static_cast<std::size_t>(other)];
+        const float dz = z[other] - z[k];
+        const bool same = o.part == cell.part &&
+                          (o.material == Material::tree) == (cell.material == Material::tree);
+        if (!same || std::abs(dz) > steepest) continue;
+        sum += other == after ? dz : -dz;
+        count += 1;
+      }
+      const float g = count > 0 ? sum / (count * step_) : 0.0f;
+      return static_cast<std::int16_t>(std::lround(4096.0f * std::clamp(g, -4.0f, 4.0f)));
+    };
+    cell.slope_x = slope(j > 0 ? k - 1 : -1, j + 1 < N_ ? k + 1 : -1);
+    cell.slope_y = slope(i + 1 < N_ ? k + N_ : -1, i > 0 ? k - N_ : -1);
+    const float hidden =
+        0.09f * std::max(0.0f, near[k] - z[k]) + 0.05f * std::max(0.0f, far[k] - z[k]);
+    cell.sky = static_cast<std::uint8_t>(255.0f / (1 + hidden));
   }
 
   City& city_;

@@ -45,6 +45,8 @@ struct Part {
   float rise = 0;  ///< of the ridge above the eave, or of the parapet, m
   RoofPattern pattern = RoofPattern::plain;
   float pattern_period = 1;
+  float texture = 1;  ///< factor on what makes a roof uneven in colour; 0 for none
+  bool open = false;  ///< a roof on posts
   Colour roof_colour{}, wall_colour{}, parapet_colour{};
   float storey = 3.2f, window_pitch = 3.0f, window_share = 0.5f;  ///< share 0: a blank wall
   bool ribbon_windows = false;
@@ -57,12 +59,15 @@ struct Tree {
   Colour colour;
   std::uint32_t seed;                  ///< odd: a cone, else a dome
   Material material = Material::tree;  ///< or rock: a boulder
+  bool deciduous = false;
 };
 
-/// A car on the ground.
+/// A car or truck on the ground or on the uppermost deck of a car park; or a crane's mast.
 struct Car {
   float x, y, cos, sin, length;  ///< m from the centre of the field; direction
-  Colour colour;
+  Colour colour{};
+  float width = 1.8f, tall = 1.45f;  ///< m
+  bool deck = false;
 };
 
 /// What a column of the height field looks like from above.
@@ -72,7 +77,9 @@ struct SurfaceCell {
   std::int16_t slope_x = 0, slope_y = 0;  ///< dz/dx, dz/dy * 4096
   Material material = Material::soil;
   std::uint8_t sky = 255;  ///< share of the sky that is visible * 255
-  std::uint16_t spare = 0;
+  /// Of a tree: 0 at the crown's middle to 127 at its rim, + 128 if it sheds its leaves, + 256 times
+  /// a number of the tree; of crops and lawns: a number of the block.
+  std::uint16_t plant = 0;
 };
 
 /// What a scene is to contain; heights are local, m.
@@ -90,8 +97,14 @@ struct City {
   HeightField field;
   std::vector<SurfaceCell> cells;  ///< row by row as the field
   std::vector<Part> parts;
+  /// What there is and how high where no tree is; empty if there are no trees.
+  std::vector<SurfaceCell> floor;
+  Tensor floor_z;
   /// Cars that may be there on one date and not on another; not in the field.
   std::vector<Car> visitors;
+  /// Noise of about 1.3 m and of 14 to 90 m, deviation about 40, per cell: what differs between
+  /// dates takes its pattern from it.
+  std::vector<std::int8_t> fine, patch;
   double centre_x = 0, centre_y = 0;
 
   const SurfaceCell& cell(Index row, Index col) const {

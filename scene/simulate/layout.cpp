@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/scene/simulate/layout.h"
+#include "satsurf/scene/simulate/dress.h"
+#include "satsurf/scene/simulate/noise.h"
 
 #include <algorithm>
 #include <cmath>
@@ -7,8 +8,6 @@
 
 namespace satsurf::scene::simulate {
 namespace {
-
-float draw(Rng& rng, double low, double high) { return static_cast<float>(rng.uniform(low, high)); }
 
 // How a kind of town is laid out; lengths in m, shares in [0, 1].
 struct Fabric {
@@ -19,24 +18,25 @@ struct Fabric {
   double low, high;                           // usual heights of buildings
   double towers;                              // chance that a building is a tower
   double groves;                              // tree cover of open ground
+  double whole;                               // chance that one building takes a built block
 };
 
 Fabric fabric_of(SceneKind kind, Rng& rng) {
   switch (kind) {
     case SceneKind::city:
-      return {88, 98, 6.8, 3, 0.82, 0.02, 0.08, 0.05, 0.02, 34, 7, 28, 0.3, 0.10};
+      return {88, 98, 6.8, 3, 0.82, 0.02, 0.08, 0.05, 0.02, 34, 7, 28, 0.3, 0.10, 0.16};
     case SceneKind::suburb:
-      return {75, 110, 4.2, 1.8, 0.10, 0.72, 0.05, 0.10, 0.03, 26, 4, 10, 0.01, 0.30};
+      return {75, 110, 4.2, 1.8, 0.10, 0.72, 0.05, 0.10, 0.03, 26, 4, 10, 0.01, 0.30, 0.35};
     case SceneKind::industrial:
-      return {140, 115, 6, 1.5, 0.66, 0, 0.18, 0.05, 0.10, 60, 6, 15, 0.04, 0.06};
+      return {140, 115, 6, 1.5, 0.66, 0, 0.18, 0.05, 0.10, 60, 6, 15, 0.04, 0.06, 0.45};
     case SceneKind::village:
-      return {62, 80, 3.2, 1, 0.12, 0.60, 0.04, 0.14, 0.05, 20, 5, 11, 0, 0.35};
+      return {62, 80, 3.2, 1, 0.12, 0.60, 0.04, 0.14, 0.05, 20, 5, 11, 0, 0.35, 0.05};
     case SceneKind::rural:
-      return {170, 140, 2.4, 0, 0.03, 0.08, 0, 0.10, 0.12, 24, 4, 8, 0, 0.25};
+      return {170, 140, 2.4, 0, 0.03, 0.08, 0, 0.10, 0.12, 24, 4, 8, 0, 0.25, 0.2};
     case SceneKind::rough:
       break;
   }
-  return {1e6, 1e6, 0, 0, 0, 0, 0, 0, 0, 20, 4, 8, 0, rng.uniform(0.1, 0.7)};
+  return {1e6, 1e6, 0, 0, 0, 0, 0, 0, 0, 20, 4, 8, 0, rng.uniform(0.1, 0.7), 0};
 }
 
 std::vector<float> street_lines(Rng& rng, double spacing, float reach) {
@@ -60,23 +60,23 @@ Colour soil_colour(Rng& rng) {
   return {0.235f * b * red, 0.20f * b, 0.16f * b};
 }
 
-Colour car_colour(Rng& rng) {
-  const double u = rng.uniform();
-  if (u < 0.30) return {0.72f, 0.72f, 0.72f};
-  if (u < 0.50) return {0.03f, 0.03f, 0.035f};
-  if (u < 0.72) return {0.35f, 0.36f, 0.38f};
-  if (u < 0.82) return {0.26f, 0.06f, 0.05f};
-  if (u < 0.92) return {0.07f, 0.09f, 0.16f};
-  return {0.30f, 0.26f, 0.16f};
-}
-
 class Furnisher {
  public:
   Furnisher(Layout& layout, const Rng& rng) : layout_(layout), rng_(rng) {}
 
   void run() {
     Rng r = rng_.fork(1);
-    const Fabric f = fabric_of(layout_.plan.kind, r);
+    layout_.deciduous = r.chance(0.25) ? 0.0f : draw(r, 0.3, 1.0);
+    Fabric f = fabric_of(layout_.plan.kind, r);
+    // Some towns have narrow blocks and streets, some wide ones.
+    const double grain = r.uniform(0.75, 1.35);
+    f.block_u *= grain;
+    f.block_v *= grain;
+    const bool dense = layout_.plan.kind == SceneKind::city && r.chance(0.4);
+    if (dense) {
+      f.half_width *= 0.7;
+      f.towers = layout_.plan.tallest > 60 ? 0.5 : 0.35;
+    }
     Streets& s = layout_.streets;
     const float angle = draw(r, 0, 2 * std::numbers::pi), reach = 1.45f * layout_.half_side();
     s.cos = std::cos(angle);
@@ -147,6 +147,7 @@ class Furnisher {
       scatter_trees(b, r, draw(r, 0.002, 0.012));
     } else if (pick < f.built + f.houses + f.parking + f.park + f.bare) {
       b.ground = Ground::bare;
+      site(b, r);
     } else {
       b.ground = Ground::crop;
       b.row_period = draw(r, 0.7, 4.5);
@@ -162,12 +163,15 @@ class Furnisher {
     };
     const float pave = layout_.streets.pavement + 1;
     std::vector<Lot> open{{b.u0 + pave, b.u1 - pave, b.v0 + pave, b.v1 - pave}};
+    // A mall, a plant, a block of one building: its lot is the block, or two thirds of it.
+    const bool whole = r.chance(f.whole);
+    const float large = whole ? draw(r, 0.65, 1.1) * std::max(b.u1 - b.u0, b.v1 - b.v0) : 0;
     while (!open.empty()) {
       const Lot lot = open.back();
       open.pop_back();
       const float du = lot.u1 - lot.u0, dv = lot.v1 - lot.v0, longer = std::max(du, dv);
       if (std::min(du, dv) < 6) continue;
-      if (longer > static_cast<float>(f.lot) * draw(r, 0.8, 2.2)) {
+      if (longer > std::max(large, static_cast<float>(f.lot) * draw(r, 0.8, 2.2))) {
         const float cut = draw(r, 0.35, 0.65);
         if (du > dv) {
           open.push_back({lot.u0, lot.u0 + cut * du, lot.v0, lot.v1});
@@ -178,9 +182,18 @@ class Furnisher {
         }
         continue;
       }
-      if (r.chance(0.12)) continue;  // an empty lot
+      if (!whole && r.chance(0.12)) {  // an empty lot, where people park
+        if (!r.chance(0.6)) continue;
+        const float share = draw(r, 0.1, 0.9);
+        for (float v = lot.v0 + 3; v < lot.v1 - 3; v += 7.5f) {
+          for (float u = lot.u0 + 2; u < lot.u1 - 2; u += 2.7f) {
+            if (r.chance(share)) place_car(layout_.visitors, r, u, v, false);
+          }
+        }
+        continue;
+      }
       const float gap = r.chance(0.4) ? draw(r, 0, 0.6) : draw(r, 1, 5);
-      const bool tower = r.chance(f.towers);
+      const bool tower = std::min(du, dv) < 60 && r.chance(f.towers);
       const float height = tower ? draw(r, f.high, std::max(f.high + 1, layout_.plan.tallest - 5))
                                  : draw(r, f.low, f.low + (f.high - f.low) * r.uniform());
       add_building(layout_, r, lot.u0 + gap, lot.u1 - gap, lot.v0 + gap, lot.v1 - gap, height);
@@ -208,7 +221,15 @@ class Furnisher {
     if (!layout_.shore.empty() && layout_.at(layout_.shore, x, y) < 2) return;
     const float turn = draw(r, -0.04, 0.04), c = (along_u ? s.cos : -s.sin) - turn * s.sin,
                 d = (along_u ? s.sin : s.cos) + turn * s.cos;
-    cars.push_back({x, y, c, d, r.chance(0.9) ? draw(r, 4.0, 5.0) : draw(r, 6, 9), car_colour(r)});
+    Car car{.x = x, .y = y, .cos = c, .sin = d, .length = draw(r, 4.0, 5.0)};
+    car.colour = car_colour(r);
+    if (r.chance(layout_.plan.kind == SceneKind::industrial ? 0.2 : 0.08)) {  // vans, lorries
+      car.length = draw(r, 6, 13);
+      car.width = draw(r, 2.1, 2.5);
+      car.tall = draw(r, 2.4, 3.8);
+      if (r.chance(0.6)) car.colour = grey(draw(r, 0.5, 0.75));
+    }
+    cars.push_back(car);
   }
 
   // Double rows of stalls with aisles of 6 m, as the painted stall lines in city.cpp.
@@ -221,10 +242,31 @@ class Furnisher {
         for (const float across : {2.6f, 7.8f}) {
           if (!r.chance(share)) continue;
           const float a = at + 0.5f * b.row_period, c = row + across;
-          auto& list = r.chance(0.4) ? layout_.cars : layout_.visitors;
+          auto& list = r.chance(0.25) ? layout_.cars : layout_.visitors;
           b.rows_along_u ? place_car(list, r, a, c, false) : place_car(list, r, c, a, true);
         }
       }
+    }
+  }
+
+  // A building site: machines, huts and a crane's mast, on some dates.
+  void site(const Block& b, Rng& r) {
+    if (layout_.plan.kind == SceneKind::rural || !r.chance(0.6)) return;
+    const int things = 2 + static_cast<int>(r.below(10));
+    for (int k = 0; k < things; ++k) {
+      const std::size_t before = layout_.visitors.size();
+      place_car(layout_.visitors, r, draw(r, b.u0 + 4, b.u1 - 4), draw(r, b.v0 + 4, b.v1 - 4),
+                r.chance(0.5));
+      if (layout_.visitors.size() == before) continue;
+      Car& c = layout_.visitors.back();
+      c.length = draw(r, 3, 10);
+      c.width = draw(r, 2, 3.5);
+      c.tall = draw(r, 2, 3.5);
+      c.colour = r.chance(0.5) ? Colour{0.55f, 0.38f, 0.05f} : grey(draw(r, 0.2, 0.7));
+      if (k > 0 || layout_.plan.tallest < 30) continue;
+      c.length = c.width = 1.8f;
+      c.tall = draw(r, 20, std::min(layout_.plan.tallest - 2, 60.0));
+      c.colour = r.chance(0.5) ? Colour{0.6f, 0.42f, 0.04f} : Colour{0.5f, 0.08f, 0.05f};
     }
   }
 
@@ -260,6 +302,7 @@ class Furnisher {
                              layout_.at(layout_.terrain, x, y),
                              {0.042f * tone * warm, 0.065f * tone, 0.030f * tone},
                              static_cast<std::uint32_t>(r.next_u64())});
+    layout_.trees.back().deciduous = r.chance(layout_.deciduous);
   }
 
   void scatter_trees(const Block& b, Rng& r, float per_m2) {
@@ -285,69 +328,16 @@ class Furnisher {
 
 }  // namespace
 
-void furnish(Layout& layout, const Rng& rng) { Furnisher(layout, rng).run(); }
-
-void add_groves(Layout& layout, const Rng& rng, float density, float spacing, float radius) {
-  Rng r = rng.fork(0);
-  const float reach = layout.half_side();
-  // Clumps: sums of a few waves of 20 to 120 m, cheaper than a noise grid and as irregular at this
-  // scale.
-  std::array<std::array<float, 3>, 6> waves{};
-  for (auto& w : waves) {
-    const float k = 6.2832f / draw(r, 20, 120), a = draw(r, 0, 6.2832);
-    w = {k * std::cos(a), k * std::sin(a), draw(r, 0, 6.2832)};
-  }
-  const bool conifers = r.chance(0.3), wild = layout.plan.kind == SceneKind::rough;
-  const auto boulders = static_cast<std::uint32_t>(r.chance(0.6) ? r.uniform(0, 500) : 0);
-  const int n = static_cast<int>(2 * reach / spacing);
-  const auto open_ground = [&](float x, float y) {
-    const Streets& s = layout.streets;
-    const float u = s.u_of(x, y), v = s.v_of(x, y);
-    const auto iu = std::upper_bound(s.u_lines.begin(), s.u_lines.end(), u) - s.u_lines.begin() - 1;
-    const auto iv = std::upper_bound(s.v_lines.begin(), s.v_lines.end(), v) - s.v_lines.begin() - 1;
-    const auto U = static_cast<Index>(s.u_lines.size()) - 1,
-               V = static_cast<Index>(s.v_lines.size()) - 1;
-    if (iu < 0 || iu >= U || iv < 0 || iv >= V) return false;
-    const Block& b = layout.blocks[static_cast<std::size_t>(iv * U + iu)];
-    if (u < b.u0 || u > b.u1 || v < b.v0 || v > b.v1) return false;
-    return b.ground == Ground::wild || b.ground == Ground::lawn || b.ground == Ground::bare;
-  };
-  for (int i = 0; i < n; ++i) {
-    for (int j = 0; j < n; ++j) {
-      const float x = -reach + spacing * (static_cast<float>(j) + draw(r, 0, 1));
-      const float y = -reach + spacing * (static_cast<float>(i) + draw(r, 0, 1));
-      // On wild ground many small ones and few large: shrubs among trees.
-      const float spread = draw(r, 0, 1), tone = draw(r, 0.55, 1.4) * (wild ? 1.5f : 1.0f),
-                  tall = draw(r, 1.2, 2.4);
-      const float size = wild ? 0.25f + 0.95f * spread * spread : 0.45f + 0.7f * spread;
-      const float lone = draw(r, 0, 1);
-      float clump = 0;
-      for (const auto& w : waves) clump += std::sin(w[0] * x + w[1] * y + w[2]);
-      // A sum of six waves has deviation 1.73: the threshold gives about the wanted share.
-      const bool inside = clump > 4.0f * (0.5f - density);
-      if (lone > (inside ? 0.85f : wild ? 0.05f : 0.0f) || !open_ground(x, y)) continue;
-      if (!layout.shore.empty() && layout.at(layout.shore, x, y) < 2) continue;
-      if (!layout.lane.empty() &&
-          std::abs(layout.at(layout.lane, x, y)) < layout.lane_half_width + size * radius) {
-        continue;
-      }
-      const auto seed = static_cast<std::uint32_t>(r.next_u64()) & ~1u;
-      Tree t{x,
-             y,
-             size * radius,
-             std::min(size * radius * tall * (conifers ? 1.8f : 1.0f), 22.0f),
-             layout.at(layout.terrain, x, y),
-             {0.044f * tone, 0.060f * tone, 0.033f * tone},
-             seed | (conifers ? 1u : 0u)};
-      if (wild && ((seed >> 8) & 1023u) < boulders) {
-        t.material = Material::rock;
-        t.height = t.radius * (0.4f + 0.4f * tone);
-        t.colour = {0.27f * tone, 0.26f * tone, 0.24f * tone};
-        t.seed &= ~1u;
-      }
-      layout.trees.push_back(t);
-    }
-  }
+Colour car_colour(Rng& rng) {
+  const double u = rng.uniform();
+  if (u < 0.30) return {0.72f, 0.72f, 0.72f};
+  if (u < 0.50) return {0.03f, 0.03f, 0.035f};
+  if (u < 0.72) return {0.35f, 0.36f, 0.38f};
+  if (u < 0.82) return {0.26f, 0.06f, 0.05f};
+  if (u < 0.92) return {0.07f, 0.09f, 0.16f};
+  return {0.30f, 0.26f, 0.16f};
 }
+
+void furnish(Layout& layout, const Rng& rng) { Furnisher(layout, rng).run(); }
 
 }  // namespace satsurf::scene::simulate

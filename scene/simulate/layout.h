@@ -44,6 +44,7 @@ struct Layout {
   std::vector<Block> blocks;  ///< row by row of v, u_lines.size() - 1 in a row
   std::vector<Part> parts;
   std::vector<Tree> trees;
+  float deciduous = 0.5f;  ///< share of the trees that lose their leaves in winter
   std::vector<Car> cars, visitors;
 
   float half_side() const {
@@ -61,6 +62,8 @@ void furnish(Layout& layout, const Rng& rng);
 void add_building(Layout& layout, Rng& rng, float u0, float u1, float v0, float v1, float height);
 /// Adds a house with a pitched roof around (u, v).
 void add_house(Layout& layout, Rng& rng, float u, float v);
+/// The colour of a car, of which most are white, black or grey.
+Colour car_colour(Rng& rng);
 /// Adds trees in clumps over the open ground.
 /// density  in [0, 1]
 /// spacing  of the places where a tree may stand, m

@@ -17,9 +17,10 @@ namespace {
 using Vec = std::array<double, 3>;
 
 constexpr double kRadians = std::numbers::pi / 180;
-constexpr double kEarthRate = 7.2921150e-5;     // rad/s, WGS84
-constexpr double kEarthGm = 3.986004418e14;     // m^3/s^2, WGS84
-constexpr double kInclination = 98 * kRadians;  // sun-synchronous at these altitudes
+constexpr double kEarthRate = 7.2921150e-5;      // rad/s, WGS84
+constexpr double kEarthGm = 3.986004418e14;      // m^3/s^2, WGS84
+constexpr double kLowestSun = 15, kLowSun = 32;  // degrees: below the first nobody orders images
+constexpr double kInclination = 98 * kRadians;   // sun-synchronous at these altitudes
 
 Vec operator+(const Vec& a, const Vec& b) { return {a[0] + b[0], a[1] + b[1], a[2] + b[2]}; }
 Vec operator-(const Vec& a, const Vec& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
@@ -306,11 +307,13 @@ std::vector<ViewPlan> plan_views(const ViewRules& rules, Rng& rng) {
       v.year = year + static_cast<int>(rng.below(2));
       v.date = static_cast<int>(k);
       // High enough a sun; near the summer solstice there always is one within 60 degrees of the
-      // equator.
+      // equator. Every third date has a low one, where the latitude has any.
+      const bool low = rng.chance(0.33);
       for (int attempt = 0; attempt < 64; ++attempt) {
         v.day_of_year = 1 + static_cast<int>(rng.below(365));
         v.solar_hour = 10.6 + rng.uniform(-0.5, 0.6);
-        if (sun_at(rules.lat_deg, v.day_of_year, v.solar_hour).elevation_deg > 24) break;
+        const double e = sun_at(rules.lat_deg, v.day_of_year, v.solar_hour).elevation_deg;
+        if (e > kLowestSun && (!low || attempt >= 24 || e < kLowSun)) break;
       }
       shared = v;
     } else {

@@ -4,6 +4,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/fit.h"
 #include "satsurf/scene/simulate/city.h"
+#include "satsurf/scene/simulate/conditions.h"
 #include "satsurf/scene/simulate/orbit.h"
 #include "satsurf/scene/simulate/render.h"
 
@@ -24,18 +25,36 @@ double log_uniform(Rng& rng, double low, double high) {
   return low * std::pow(high / low, rng.uniform());
 }
 
+SceneKind draw_kind(const SimulateConfig& config, Rng& rng) {
+  if (config.kinds.empty()) throw ConfigError("simulate: kinds is empty, expected at least one");
+  if (config.kind_weights.empty())
+    return config
+        .kinds[static_cast<std::size_t>(rng.below(static_cast<Index>(config.kinds.size())))];
+  double total = 0;
+  for (const double w : config.kind_weights) total += w;
+  double left = total * rng.uniform();
+  std::size_t k = 0;
+  // Rounding never leads to a kind without weight: the walk ends at the last that has some.
+  for (std::size_t n = 0; n < config.kinds.size(); ++n) {
+    if (config.kind_weights[n] <= 0) continue;
+    k = n;
+    left -= config.kind_weights[n];
+    if (left < 0) break;
+  }
+  return config.kinds[k];
+}
+
 CityPlan draw_plan(const SimulateConfig& config, Rng& rng) {
   CityPlan plan;
-  if (config.kinds.empty()) throw ConfigError("simulate: kinds is empty, expected at least one");
-  plan.kind =
-      config.kinds[static_cast<std::size_t>(rng.below(static_cast<Index>(config.kinds.size())))];
+  plan.kind = draw_kind(config, rng);
   const auto range = [&](double relief_low, double relief_high, double tall_low, double tall_high) {
     plan.relief = std::min(log_uniform(rng, relief_low, relief_high), config.relief_max);
     plan.tallest = std::min(rng.uniform(tall_low, tall_high), config.tallest_max);
   };
   switch (plan.kind) {
     case SceneKind::city:
-      range(0.5, 8, 24, 60);
+      // Most of a town is low; some have towers.
+      rng.chance(0.65) ? range(0.5, 8, 24, 60) : range(0.5, 8, 60, 150);
       break;
     case SceneKind::suburb:
       range(0.5, 14, 24, 26);
@@ -55,43 +74,6 @@ CityPlan draw_plan(const SimulateConfig& config, Rng& rng) {
   }
   plan.water = rng.chance(config.water);
   return plan;
-}
-
-// A day's light: a high sun is white and strong against the sky, a low one yellow and weak.
-Daylight draw_daylight(const Sun& sun, Rng& rng) {
-  Daylight d;
-  d.sun = sun;
-  const double height = std::sin(sun.elevation_deg * kRadians);
-  const auto warm = static_cast<float>(0.10 * (1 - height));
-  const auto sky = static_cast<float>(rng.uniform(0.12, 0.28));
-  d.sun_colour = {1.0f + warm, 0.98f, 0.93f - warm};
-  d.sky_colour = {0.80f * sky, 1.0f * sky, 1.35f * sky};
-  const auto season = static_cast<float>(rng.uniform(-1, 1)),
-             lush = static_cast<float>(rng.uniform(0.75, 1.35));
-  d.vegetation = {lush * (1.0f + 0.3f * season), lush, lush * (1.0f - 0.1f * season)};
-  // glint makes water bright on some dates
-  const auto w = static_cast<float>(log_uniform(rng, 0.3, 6));
-  const auto green = static_cast<float>(rng.uniform(0.7, 1.4));
-  d.water = {0.028f * w, 0.04f * w * green, 0.045f * w};
-  d.ripples = static_cast<float>(rng.uniform(0.02, 0.25));
-  d.wetness = static_cast<float>(rng.chance(0.15) ? rng.uniform(0.55, 0.9) : rng.uniform(0.9, 1.1));
-  d.visitors = rng.uniform(0.15, 0.8);
-  d.seed = static_cast<std::uint32_t>(rng.next_u64());
-  return d;
-}
-
-Development draw_development(bool panchromatic, Rng& rng) {
-  Development how;
-  how.haze = static_cast<float>(rng.uniform(0.0, 0.03));
-  how.psf_sigma = static_cast<float>(rng.uniform(0.4, 0.7));
-  how.noise = static_cast<float>(log_uniform(rng, 0.003, 0.02));
-  how.dark = static_cast<float>(rng.uniform(0.06, 0.22));
-  how.bright = static_cast<float>(rng.uniform(0.75, 1.02));
-  how.gamma = static_cast<float>(rng.uniform(1.2, 2.2));
-  for (float& t : how.tint) t = static_cast<float>(rng.uniform(0.94, 1.06));
-  how.panchromatic = panchromatic;
-  how.seed = static_cast<std::uint32_t>(rng.next_u64());
-  return how;
 }
 
 rpc::Geodetic draw_place(Rng& rng) {
@@ -123,6 +105,18 @@ void check_config(const SimulateConfig& c) {
     throw ConfigError(text.str());
   };
   ordered("off_nadir_min_deg", c.off_nadir_min_deg, "off_nadir_max_deg", c.off_nadir_max_deg);
+  if (!c.kind_weights.empty()) {
+    double total = 0;
+    for (const double w : c.kind_weights) total += w;
+    std::ostringstream text;
+    if (c.kind_weights.size() != c.kinds.size()) {
+      text << "simulate: kind_weights has " << c.kind_weights.size() << " numbers, expected the "
+           << c.kinds.size() << " of kinds, or none";
+      throw ConfigError(text.str());
+    }
+    if (!(total > 0))
+      throw ConfigError("simulate: kind_weights are all 0, expected one above 0, or none");
+  }
   ordered("parallax_min", c.parallax_min, "parallax_max", c.parallax_max);
   // Two views on opposite sides, as far from nadir as allowed, in the finest pixels.
   const double widest =
@@ -218,29 +212,35 @@ SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, 
   plan.y0 = std::ceil(0.5 * (bounds.y_low + bounds.y_high + extent));
 
   const City city = make_city(plan, root.fork(2));
-  const ColumnField columns(city.field);
-  scene.h_min = scene.frame.h0 + columns.low();
-  scene.h_max = scene.frame.h0 + columns.high();
+  {
+    const ColumnField columns(city.field);
+    scene.h_min = scene.frame.h0 + columns.low();
+    scene.h_max = scene.frame.h0 + columns.high();
+  }
 
   const double turn = rpc::grid_convergence_deg(scene.frame, place);
+  Rng product_rng = root.fork(3);
+  const Product product = draw_product(panchromatic, product_rng);
   LitCity lit;
+  Development development;
   int date = -1;
   for (std::size_t v = 0; v < scene.views.size(); ++v) {
     SimulatedView& view = scene.views[v];
     if (looks[v].date != date) {
       date = looks[v].date;
       Rng r = root.fork(200 + static_cast<std::uint64_t>(date));
-      lit =
-          light_city(city, draw_daylight({view.sun_elevation_deg, view.sun_azimuth_deg - turn}, r));
+      const Sun sun{view.sun_elevation_deg, view.sun_azimuth_deg - turn};
+      lit = light_city(city, draw_daylight(sun, place.lat, looks[v].day_of_year, r));
+      development = draw_atmosphere(product, plan.kind, lit.light, r);
     }
     const rpc::Window window{0, 0, side, side};
-    const Quadratic localisation = rpc::fit_localisation(view.rpc, scene.frame, window,
-                                                         {columns.low() - 1, columns.high() + 1});
+    const Quadratic localisation = rpc::fit_localisation(
+        view.rpc, scene.frame, window, {lit.columns->low() - 1, lit.columns->high() + 1});
     Rng r = root.fork(300 + static_cast<std::uint64_t>(v));
     const auto waves = static_cast<std::uint32_t>(r.next_u64());
-    view.rgb =
-        develop(render_view(city, columns, lit, localisation, config.pixels, config.pixels, waves),
-                draw_development(panchromatic, r));
+    draw_instrument(product, development, r);
+    view.rgb = develop(render_view(city, lit, localisation, config.pixels, config.pixels, waves),
+                       development);
     if (config.heights)
       view.height = heights_in_view(city.field, localisation, config.pixels, config.pixels);
     view.rpc.samp_off += r.uniform(-config.bias_px, config.bias_px);

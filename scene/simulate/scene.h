@@ -23,8 +23,10 @@ struct SimulateConfig {
   double gsd = 0;  ///< m; 0 draws 0.3 to 0.6 for each scene
   std::vector<SceneKind> kinds{SceneKind::city,    SceneKind::suburb, SceneKind::industrial,
                                SceneKind::village, SceneKind::rural,  SceneKind::rough};
+  /// How often each of `kinds` is drawn; empty: equally often.
+  std::vector<double> kind_weights;
   double relief_max = 60;     ///< m
-  double tallest_max = 60;    ///< m
+  double tallest_max = 150;   ///< m
   double water = 0.15;        ///< share of the scenes
   double panchromatic = 0.4;  ///< share of the scenes
   double same_pass = 0.4;     ///< share of the scenes
@@ -45,7 +47,13 @@ struct SimulateConfig {
             .unit = "m",
             .min = 0,
             .max = 5});
-    v("kinds", s.kinds, Field{.help = "kinds of scenes, drawn with equal chance"});
+    v("kinds", s.kinds,
+      Field{.help = "kinds of scenes, drawn with equal chance unless kind_weights says otherwise"});
+    v("kind_weights", s.kind_weights,
+      Field{.help = "how often each of the kinds is drawn, one number for each of --kinds, of any "
+                    "sum",
+            .min = 0,
+            .automatic = "equally often"});
     v("relief_max", s.relief_max,
       Field{
           .help = "caps the ground's deviation from its mean, of which no kind draws more than 60",
@@ -53,7 +61,7 @@ struct SimulateConfig {
           .min = 0.5,
           .max = 500});
     v("tallest_max", s.tallest_max,
-      Field{.help = "caps the height above the ground, of which no kind draws more than 60",
+      Field{.help = "caps the height above the ground, of which no kind draws more than 150",
             .unit = "m",
             .min = 24,
             .max = 300});
