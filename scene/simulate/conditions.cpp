@@ -76,7 +76,7 @@ Development draw_atmosphere(const Product& product, SceneKind kind, const Daylig
       kind == SceneKind::city || kind == SceneKind::industrial || kind == SceneKind::suburb;
   how.saturated =
       static_cast<float>(built ? log_uniform(rng, 0.002, 0.1) : log_uniform(rng, 0.0005, 0.02));
-  how.bright = rng.chance(0.15) ? draw(rng, 0.8, 1.0) : draw(rng, 1.0, 1.15);
+  how.bright = rng.chance(0.15) ? draw(rng, 0.8, 1.0) : draw(rng, 1.0, 1.1);
   const auto on_ground =
       static_cast<float>(std::sin(light.sun.elevation_deg * kRadians)) + light.sky_colour[1];
   how.most_dark = haze + 0.05f * on_ground;

@@ -97,10 +97,11 @@ void dress_flat_roof(Rng& r, Part& p) {
 void dress_membrane(Rng& r, Part& p) {
   p.roof = Roof::flat;
   const double u = r.uniform();
-  p.roof_colour = u < 0.55   ? grey(draw(r, 0.55, 0.9), draw(r, 0.98, 1.02))
-                  : u < 0.80 ? grey(draw(r, 0.30, 0.50), draw(r, 0.97, 1.05))
-                  : u < 0.90 ? grey(draw(r, 0.08, 0.2))
-                             : Colour{draw(r, 0.2, 0.4), draw(r, 0.18, 0.36), draw(r, 0.15, 0.3)};
+  p.roof_colour = u < 0.42   ? grey(draw(r, 0.55, 0.9), draw(r, 0.98, 1.02))
+                  : u < 0.68 ? grey(draw(r, 0.25, 0.45), draw(r, 0.97, 1.05))
+                  : u < 0.82 ? grey(draw(r, 0.08, 0.2))
+                  : u < 0.94 ? Colour{draw(r, 0.2, 0.34), draw(r, 0.16, 0.27), draw(r, 0.12, 0.2)}
+                             : Colour{draw(r, 0.12, 0.3), draw(r, 0.18, 0.3), draw(r, 0.15, 0.3)};
   p.rise = r.chance(0.5) ? draw(r, 0.2, 0.9) : 0.0f;
   p.parapet_colour = r.chance(0.5) ? p.roof_colour : grey(draw(r, 0.4, 0.8));
   p.pattern = r.chance(0.8) ? RoofPattern::plain : RoofPattern::seams;

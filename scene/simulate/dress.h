@@ -48,5 +48,7 @@ void add_car_park(Layout& layout, Rng& rng, Part outline);
 void add_hall(Layout& layout, Rng& rng, Part outline);
 /// A roof on posts.
 void add_canopy(Layout& layout, Rng& rng, Part outline);
+/// The same with the plan (u0..u1) x (v0..v1) along the streets, unless water is in the way.
+void add_canopy(Layout& layout, Rng& rng, float u0, float u1, float v0, float v1);
 
 }  // namespace satsurf::scene::simulate

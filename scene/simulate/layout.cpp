@@ -214,7 +214,8 @@ class Furnisher {
     scatter_trees(b, r, draw(r, 0.001, 0.007));
   }
 
-  void place_car(std::vector<Car>& cars, Rng& r, float u, float v, bool along_u) {
+  void place_car(std::vector<Car>& cars, Rng& r, float u, float v, bool along_u,
+                 double lorries = 0.01) {
     const Streets& s = layout_.streets;
     const float x = u * s.cos - v * s.sin, y = u * s.sin + v * s.cos, reach = layout_.half_side();
     if (std::max(std::abs(x), std::abs(y)) > reach) return;
@@ -223,7 +224,7 @@ class Furnisher {
                 d = (along_u ? s.sin : s.cos) + turn * s.cos;
     Car car{.x = x, .y = y, .cos = c, .sin = d, .length = draw(r, 4.0, 5.0)};
     car.colour = car_colour(r);
-    if (r.chance(layout_.plan.kind == SceneKind::industrial ? 0.2 : 0.08)) {  // vans, lorries
+    if (r.chance(lorries)) {  // or a van
       car.length = draw(r, 6, 13);
       car.width = draw(r, 2.1, 2.5);
       car.tall = draw(r, 2.4, 3.8);
@@ -237,7 +238,16 @@ class Furnisher {
     const float share = draw(r, 0.1, 0.9), from = b.rows_along_u ? b.u0 : b.v0,
                 to = b.rows_along_u ? b.u1 : b.v1, first = b.rows_along_u ? b.v0 : b.u0,
                 last = b.rows_along_u ? b.v1 : b.u1;
+    const double roofed = r.chance(0.3) ? r.uniform(0.1, 0.6) : 0.0;
     for (float row = first + 3; row + 13.5f < last; row += 16) {
+      if (r.chance(roofed)) {  // a roof on posts over both rows of stalls
+        const float start = from + 4 + draw(r, 0, 0.3) * (to - from), end = to - 4;
+        const float u = b.rows_along_u ? start : row, v = b.rows_along_u ? row : start;
+        if (end - start > 8) {
+          add_canopy(layout_, r, u, b.rows_along_u ? end : row + 10.4f, v,
+                     b.rows_along_u ? row + 10.4f : end);
+        }
+      }
       for (float at = from + 3; at + b.row_period < to - 3; at += b.row_period) {
         for (const float across : {2.6f, 7.8f}) {
           if (!r.chance(share)) continue;
@@ -280,8 +290,9 @@ class Furnisher {
           const bool parked = s.half_width > 3.5f && r.chance(0.5);
           const float side = (r.chance(0.5) ? 1.0f : -1.0f) * (parked ? edge : lane);
           auto& list = parked && r.chance(0.4) ? layout_.cars : layout_.visitors;
-          family == 0 ? place_car(list, r, line + side, at, false)
-                      : place_car(list, r, at, line + side, true);
+          const double lorries = layout_.plan.kind == SceneKind::industrial ? 0.2 : 0.08;
+          family == 0 ? place_car(list, r, line + side, at, false, lorries)
+                      : place_car(list, r, at, line + side, true, lorries);
         }
       }
     }

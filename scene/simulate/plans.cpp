@@ -239,4 +239,12 @@ void add_canopy(Layout& layout, Rng& r, Part p) {
   layout.parts.push_back(p);
 }
 
+void add_canopy(Layout& layout, Rng& r, float u0, float u1, float v0, float v1) {
+  Part p = part_at(layout, 0.5f * (u0 + u1), 0.5f * (v0 + v1), 0.5f * (u1 - u0), 0.5f * (v1 - v0));
+  float low = 0, mean = 0;
+  if (!ground_under(layout, p, low, mean)) return;
+  p.base = mean;
+  add_canopy(layout, r, p);
+}
+
 }  // namespace satsurf::scene::simulate

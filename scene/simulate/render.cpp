@@ -169,9 +169,10 @@ class Shader {
       case Material::concrete:
       case Material::roof:
         if (d.puddles > 0) {
+          // Roofs drain better than the ground, but not evenly.
           const float wet =
               smooth_step(-10, 90, static_cast<float>(drifted(city_.patch, hit.row, hit.col)));
-          scale(1 - d.puddles * wet);
+          scale(1 - (cell.material == Material::roof ? 0.4f : 1.0f) * d.puddles * wet);
         }
         break;
       case Material::water: {
