@@ -9,7 +9,7 @@ set(satsurf_internal_headers
   "/rpc/gdal\\.h$"
   "/mesh/sampled_view\\.h$"
   "/scene/(ray_walk|satnerf)\\.h$"
-  "/scene/simulate/(city|conditions|develop|dress|layout|noise|orbit|render)\\.h$"
+  "/scene/simulate/(city|conditions|develop|dress|given|layout|noise|orbit|render|texture)\\.h$"
   "/reconstruct/trust\\.h$"
   "/evaluate/(score_views|sight_lines)\\.h$")
 # Of the readers' room the engine has the cameras alone.

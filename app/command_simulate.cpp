@@ -9,6 +9,8 @@
 #include <algorithm>
 #include <cstdio>
 #include <memory>
+#include <optional>
+#include <vector>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -20,7 +22,7 @@ namespace fs = std::filesystem;
 
 struct SimulateOptions {
   scene::SimulateConfig config;
-  fs::path out, config_file;
+  fs::path out, config_file, surface, classes;
   bool overwrite = false;
 
   /// Of the options those that are no configuration.
@@ -28,6 +30,14 @@ struct SimulateOptions {
   static void fields(Self& s, V&& v) {
     v("out", s.out,
       Field{.help = "folder to make (required unless --print-config)", .placeholder = "DIR"});
+    v("surface", s.surface,
+      Field{.help = "take the heights from this GeoTIFF, in a zone of UTM, instead of making a "
+                    "place up; --kinds, --relief_max, --tallest_max and --water then say nothing",
+            .placeholder = "DSM"});
+    v("classes", s.classes,
+      Field{.help = "classes of that surface on the same grid: 2 ground, 5 trees, 6 buildings, "
+                    "9 water; without them what is high and rough is a tree",
+            .placeholder = "FILE"});
     v("overwrite", s.overwrite,
       Field{.help = "replace what an earlier run left in that folder", .flag = "--overwrite"});
   }
@@ -36,14 +46,28 @@ struct SimulateOptions {
 void run_simulate(const SimulateOptions& options) {
   scene::SimulateConfig config = options.config;
   scene::check_config(config);
+  if (options.surface.empty() && !options.classes.empty())
+    throw ConfigError("--classes comes without --surface, expected both or none");
   RunRecord record("simulate", to_json(config), config.seed);
+  std::optional<scene::GivenSurface> surface;
+  std::vector<fs::path> inputs{options.config_file};
+  if (!options.surface.empty()) {
+    surface = scene::read_surface(options.surface, options.classes);
+    for (const fs::path& file : {options.surface, options.classes}) {
+      if (file.empty()) continue;
+      inputs.push_back(file);
+      record.add_input(file);
+    }
+  }
   config.heights = false;  // per-pixel heights are not written
-  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, {options.config_file});
+  OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, inputs);
   Progress progress;
   for (Index i = 0; i < config.scenes; ++i) {
     if (interrupted()) throw Interrupted{};
     progress.update("simulate", static_cast<double>(i) / static_cast<double>(config.scenes));
-    const scene::SimulatedScene scene = scene::simulate_scene(config, config.seed, i);
+    const scene::SimulatedScene scene =
+        surface ? scene::simulate_on_surface(*surface, config, config.seed, i)
+                : scene::simulate_scene(config, config.seed, i);
     const std::string name = fmt::format("SIM_{:03}", i + 1);
     scene::write_scene(scene, folder.path(), name);
     double worst = 0;

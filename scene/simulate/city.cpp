@@ -4,6 +4,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/scene/simulate/layout.h"
 #include "satsurf/scene/simulate/noise.h"
+#include "satsurf/scene/simulate/texture.h"
 
 #include <algorithm>
 #include <cmath>
@@ -12,36 +13,6 @@ namespace satsurf::scene::simulate {
 namespace {
 
 constexpr Index kBand = 32;  // rows painted at a time
-
-// Deviation of the reflectance from its mean, relative: per cell, below 2 m, 2 to 16 m, and wider.
-struct Texture {
-  float grain, fine, middle, wide;
-};
-
-Texture texture_of(Material m) {
-  switch (m) {
-    case Material::asphalt:
-      return {0.05f, 0.05f, 0.09f, 0.12f};
-    case Material::concrete:
-      return {0.05f, 0.07f, 0.10f, 0.08f};
-    case Material::grass:
-      return {0.12f, 0.16f, 0.20f, 0.18f};
-    case Material::soil:
-      return {0.09f, 0.13f, 0.16f, 0.16f};
-    case Material::rock:
-      return {0.14f, 0.28f, 0.22f, 0.20f};
-    case Material::field:
-      return {0.08f, 0.10f, 0.10f, 0.10f};
-    case Material::tree:
-      return {0.20f, 0.30f, 0.05f, 0.05f};
-    case Material::roof:
-      return {0.025f, 0.02f, 0.07f, 0.02f};
-    case Material::water:
-    case Material::car:
-      return {0, 0, 0, 0};
-  }
-  return {};
-}
 
 // Share of a cell that a line of the given half width covers, `d` from its axis.
 float line_cover(float d, float half_width, float step) {
@@ -111,7 +82,7 @@ class Painter {
                 city_.floor_z.data() + first);
       for (const Tree& t : layout_.trees) paint_tree(t, begin, end);
     });
-    finish();
+    shape_cells(city_);
   }
 
  private:
@@ -135,10 +106,7 @@ class Painter {
         1 + extra +
         uneven * (grain + t.fine * fine_[k] + t.middle * middle_[k] + t.wide * wide_[k]);
     SurfaceCell& cell = city_.cells[static_cast<std::size_t>(k)];
-    for (std::size_t b = 0; b < 3; ++b) {
-      cell.albedo[b] = static_cast<std::uint16_t>(
-          65535.0f * std::clamp(c[b] * std::max(f, 0.15f), 0.005f, 0.95f));
-    }
+    cell.set_albedo(c, f);
     cell.material = m;
     cell.part = part;
     cell.plant = plant;
@@ -416,50 +384,6 @@ class Painter {
                     put(i, j, (c.deck ? city_.field.z[k] : layout_.terrain[k]) + tall,
                         glass ? Colour{0.04f, 0.045f, 0.05f} : c.colour, Material::car, 0);
                   });
-  }
-
-  // Slopes within each surface, and how much of the sky is hidden by what stands around.
-  void finish() {
-    const Tensor near = box_mean(city_.field.z, static_cast<Index>(std::lround(4.0f / step_)));
-    const Tensor far = box_mean(near, static_cast<Index>(std::lround(9.0f / step_)));
-    for_range(N_, kBand, [&](Index begin, Index end) {
-      for (Index i = begin; i < end; ++i) {
-        for (Index j = 0; j < N_; ++j) {
-          const auto k = static_cast<std::size_t>(i * N_ + j);
-          shape(city_.cells, city_.field.z, near, far, i, j);
-          // Under no tree the floor is what is seen anyway.
-          if (!city_.floor.empty() && city_.cells[k].material == Material::tree)
-            shape(city_.floor, city_.floor_z, near, far, i, j);
-        }
-      }
-    });
-  }
-
-  void shape(std::vector<SurfaceCell>& cells, const Tensor& z, const Tensor& near,
-             const Tensor& far, Index i, Index j) {
-    const Index k = i * N_ + j;
-    SurfaceCell& cell = cells[static_cast<std::size_t>(k)];
-    const float steepest = 3.0f * step_;
-    const auto slope = [&](Index before, Index after) {
-      float sum = 0, count = 0;
-      for (const Index other : {before, after}) {
-        if (other < 0) continue;
-        const SurfaceCell& o = cells[static_cast<std::size_t>(other)];
-        const float dz = z[other] - z[k];
-        const bool same = o.part == cell.part &&
-                          (o.material == Material::tree) == (cell.material == Material::tree);
-        if (!same || std::abs(dz) > steepest) continue;
-        sum += other == after ? dz : -dz;
-        count += 1;
-      }
-      const float g = count > 0 ? sum / (count * step_) : 0.0f;
-      return static_cast<std::int16_t>(std::lround(4096.0f * std::clamp(g, -4.0f, 4.0f)));
-    };
-    cell.slope_x = slope(j > 0 ? k - 1 : -1, j + 1 < N_ ? k + 1 : -1);
-    cell.slope_y = slope(i + 1 < N_ ? k + N_ : -1, i > 0 ? k - N_ : -1);
-    const float hidden =
-        0.09f * std::max(0.0f, near[k] - z[k]) + 0.05f * std::max(0.0f, far[k] - z[k]);
-    cell.sky = static_cast<std::uint8_t>(255.0f / (1 + hidden));
   }
 
   City& city_;

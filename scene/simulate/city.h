@@ -5,6 +5,7 @@
 #include "satsurf/scene/raycast.h"
 #include "satsurf/scene/simulate/kind.h"
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <string>
@@ -47,6 +48,8 @@ struct Part {
   float pattern_period = 1;
   float texture = 1;  ///< factor on what makes a roof uneven in colour; 0 for none
   bool open = false;  ///< a roof on posts
+  /// Of any plan: its walls face the cells in front of them, and the extents say nothing.
+  bool free_form = false;
   Colour roof_colour{}, wall_colour{}, parapet_colour{};
   float storey = 3.2f, window_pitch = 3.0f, window_share = 0.5f;  ///< share 0: a blank wall
   bool ribbon_windows = false;
@@ -80,6 +83,14 @@ struct SurfaceCell {
   /// Of a tree: 0 at the crown's middle to 127 at its rim, + 128 if it sheds its leaves, + 256 times
   /// a number of the tree; of crops and lawns: a number of the block.
   std::uint16_t plant = 0;
+
+  /// factor  on the reflectance, from texture
+  void set_albedo(const Colour& reflectance, float factor) {
+    for (std::size_t b = 0; b < 3; ++b) {
+      albedo[b] = static_cast<std::uint16_t>(
+          65535.0f * std::clamp(reflectance[b] * std::max(factor, 0.15f), 0.005f, 0.95f));
+    }
+  }
 };
 
 /// What a scene is to contain; heights are local, m.

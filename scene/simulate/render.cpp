@@ -214,7 +214,11 @@ class Shader {
                 dy = static_cast<float>(y - city_.centre_y) - p.y;
     float along = dx * p.cos + dy * p.sin, across = dy * p.cos - dx * p.sin;
     float nu = 0, nv = 0, run;  // outward normal in the part's axes, distance along the wall
-    if (p.round) {
+    if (p.free_form) {
+      nu = static_cast<float>(hit.front_col - hit.col);
+      nv = static_cast<float>(hit.row - hit.front_row);
+      run = std::abs(nu) > std::abs(nv) ? dy : dx;
+    } else if (p.round) {
       const float r = std::max(0.1f, std::hypot(along, across));
       nu = along / r;
       nv = across / r;
@@ -226,7 +230,8 @@ class Shader {
       nv = across > 0 ? 1.0f : -1.0f;
       run = along + p.a;
     }
-    const float nx = nu * p.cos - nv * p.sin, ny = nu * p.sin + nv * p.cos;
+    const float c = p.free_form ? 1.0f : p.cos, s = p.free_form ? 0.0f : p.sin;
+    const float nx = nu * c - nv * s, ny = nu * s + nv * c;
     Colour albedo = p.wall_colour;
     const float up = hit.z - p.base;
     if (p.open && hit.z < p.eave - 0.7f) albedo = {0.02f, 0.02f, 0.02f};

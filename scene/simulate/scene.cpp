@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/scene/simulate/scene.h"
 
+#include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/fit.h"
 #include "satsurf/scene/simulate/city.h"
 #include "satsurf/scene/simulate/conditions.h"
+#include "satsurf/scene/simulate/given.h"
 #include "satsurf/scene/simulate/orbit.h"
 #include "satsurf/scene/simulate/render.h"
 
@@ -129,7 +131,36 @@ void check_config(const SimulateConfig& c) {
   }
 }
 
-SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index) {
+namespace {
+
+// Where on a surface a scene lies, and between which heights. The views reach as little beyond its
+// edges as may be.
+rpc::Geodetic place_on(const GivenSurface& surface, double reach, Rng& rng, double& z_low,
+                       double& z_high) {
+  Dims dim("simulate");
+  dim.match("surface", surface.z, "H W");
+  if (!surface.classes.empty()) dim.match("classes", surface.classes, "H W");
+  std::vector<float> known;
+  for (const float z : surface.z.values()) {
+    if (std::isfinite(z)) known.push_back(z);
+  }
+  if (known.empty()) throw ConfigError("simulate: the surface is empty, expected known heights");
+  std::sort(known.begin(), known.end());
+  const auto along = [&](Index cells) {
+    const double length = static_cast<double>(cells) * surface.grid.step,
+                 margin = std::min(reach, 0.5 * length);
+    return rng.uniform(margin, length - margin);
+  };
+  const double east = surface.grid.x0 + along(dim["W"]), north = surface.grid.y0 - along(dim["H"]);
+  const auto position = rpc::geodetic_from_utm(surface.zone, east, north);
+  const double ground = static_cast<double>(known[known.size() / 20]);
+  z_low = static_cast<double>(known.front()) - ground - 3;
+  z_high = static_cast<double>(known.back()) - ground + 3;
+  return {.lon = position[0], .lat = position[1], .h = ground};
+}
+
+SimulatedScene make_scene(const SimulateConfig& config, std::uint64_t seed, Index index,
+                          const GivenSurface* surface) {
   const Rng root = Rng(seed, 0x51D).fork(static_cast<std::uint64_t>(index));
   Rng rng = root.fork(1);
   SimulatedScene scene;
@@ -138,13 +169,15 @@ SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, 
   scene.gsd = config.gsd > 0 ? config.gsd : rng.uniform(kFinestGsd, 0.6);
   const bool panchromatic = rng.chance(config.panchromatic),
              same_pass = rng.chance(config.same_pass);
-  const rpc::Geodetic place = draw_place(rng);
-  scene.frame.zone = rpc::utm_zone_of(place.lon, place.lat);
+  double z_low = -plan.relief - 2, z_high = plan.relief + plan.tallest + 2;
+  const double reach = 0.55 * scene.gsd * static_cast<double>(config.pixels);
+  const rpc::Geodetic place =
+      surface != nullptr ? place_on(*surface, reach, rng, z_low, z_high) : draw_place(rng);
+  scene.frame.zone = surface != nullptr ? surface->zone : rpc::utm_zone_of(place.lon, place.lat);
   const auto utm = rpc::utm_from_geodetic(scene.frame.zone, place.lon, place.lat);
   scene.frame.easting0 = std::round(utm[0]);
   scene.frame.northing0 = std::round(utm[1]);
   scene.frame.h0 = std::round(place.h);
-  const double z_low = -plan.relief - 2, z_high = plan.relief + plan.tallest + 2;
 
   const std::vector<ViewPlan> looks = plan_views({.views = static_cast<int>(config.views),
                                                   .least_off_nadir_deg = config.off_nadir_min_deg,
@@ -205,13 +238,15 @@ SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, 
   }
   constexpr double kMargin = 3;  // m
   plan.step = scene.gsd < 0.4 ? 0.25 : 0.3;
+  if (surface != nullptr) plan.step = std::clamp(surface->grid.step, 0.25, 0.5);
   const double extent =
       std::max(bounds.x_high - bounds.x_low, bounds.y_high - bounds.y_low) + 2 * kMargin;
   plan.size = static_cast<Index>(std::ceil(extent / plan.step));
   plan.x0 = std::floor(0.5 * (bounds.x_low + bounds.x_high - extent));
   plan.y0 = std::ceil(0.5 * (bounds.y_low + bounds.y_high + extent));
 
-  const City city = make_city(plan, root.fork(2));
+  const City city = surface != nullptr ? city_on(*surface, scene.frame, plan, root.fork(2))
+                                       : make_city(plan, root.fork(2));
   {
     const ColumnField columns(city.field);
     scene.h_min = scene.frame.h0 + columns.low();
@@ -249,6 +284,17 @@ SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, 
   scene.classes = classes_of(city);
   scene.dsm = city.field;
   return scene;
+}
+
+}  // namespace
+
+SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index) {
+  return make_scene(config, seed, index, nullptr);
+}
+
+SimulatedScene simulate_on_surface(const GivenSurface& surface, const SimulateConfig& config,
+                                   std::uint64_t seed, Index index) {
+  return make_scene(config, seed, index, &surface);
 }
 
 }  // namespace satsurf::scene

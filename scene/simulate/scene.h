@@ -4,6 +4,7 @@
 #include "satsurf/core/fields.h"
 #include "satsurf/rpc/frame.h"
 #include "satsurf/rpc/model.h"
+#include "satsurf/rpc/raster.h"
 #include "satsurf/scene/raycast.h"
 #include "satsurf/scene/simulate/kind.h"
 
@@ -115,6 +116,25 @@ struct SimulatedScene {
 /// Scene number `index` of a seed: a pure function of the arguments, for any number of threads.
 /// throws  ConfigError if no kind is to choose from
 SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index);
+
+/// A surface somebody measured, to be lit and looked at instead of a made-up one.
+struct GivenSurface {
+  Tensor z;        ///< [H W] m above the ellipsoid, row 0 north; NaN where unknown
+  Tensor classes;  ///< [H W] as SimulatedScene::classes, anything else is ground; or empty
+  rpc::GeoGrid grid;
+  rpc::UtmZone zone;
+};
+/// dsm      any GeoTIFF in a zone of UTM, or DFC2019's without a system
+/// classes  on the same grid; or empty
+/// throws   IoError
+GivenSurface read_surface(const std::filesystem::path& dsm, const std::filesystem::path& classes);
+
+/// Scene number `index` of a seed on a given surface, with made-up materials, light and cameras:
+/// another part of it for every scene, mirrored at its edges where the views reach beyond. The
+/// configuration's kinds, relief_max, tallest_max and water say nothing here.
+/// throws  ConfigError, ShapeError
+SimulatedScene simulate_on_surface(const GivenSurface& surface, const SimulateConfig& config,
+                                   std::uint64_t seed, Index index);
 
 /// Writes a scene in the layout of DFC2019 Track 3:
 ///   Track3-RGB/NAME_001_RGB.tif ...  uint8, camera in the RPC tag

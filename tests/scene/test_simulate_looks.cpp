@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "tests/temp_folder.h"
 #include <doctest/doctest.h>
 
 using namespace satsurf;
@@ -340,4 +341,110 @@ TEST_CASE("kinds are drawn by their weights") {
                        ConfigError);
   config.kind_weights = {1, -1, 1};
   CHECK_THROWS_AS(check_config(config), ConfigError);
+}
+
+namespace {
+
+// Even ground with a house of 20 by 12 m and a rough clump beside it; 64 m a side.
+GivenSurface little_town(bool classified) {
+  const Index N = 128;
+  GivenSurface s{.z = Tensor({N, N}, 31.5f),
+                 .classes = {},
+                 .grid = {.epsg = 32633, .x0 = 500000, .y0 = 5400064, .step = 0.5},
+                 .zone = {.number = 33, .north = true}};
+  Tensor classes({N, N}, 2.0f);
+  Rng rng(8);
+  for (Index i = 30; i < 54; ++i) {
+    for (Index j = 20; j < 60; ++j) {
+      s.z[i * N + j] = 40;
+      classes[i * N + j] = 6;
+    }
+    for (Index j = 80; j < 110; ++j) {
+      s.z[i * N + j] = 36 + static_cast<float>(rng.uniform(0, 4));
+      classes[i * N + j] = 5;
+    }
+  }
+  for (Index j = 0; j < N; ++j) s.z[100 * N + j] = std::nanf("");
+  if (classified) s.classes = classes;
+  return s;
+}
+
+}  // namespace
+
+TEST_CASE("a given surface keeps its heights and its place under made-up light") {
+  SimulateConfig config;
+  config.pixels = 64, config.views = 3, config.gsd = 0.5, config.panchromatic = 0;
+  for (const bool classified : {true, false}) {
+    CAPTURE(classified);
+    const GivenSurface town = little_town(classified);
+    const SimulatedScene scene = simulate_on_surface(town, config, 3, 0);
+    CHECK(scene.frame.zone == town.zone);
+    CHECK(scene.views.size() == 3);
+    const Index N = scene.dsm.z.dim(0), M = town.z.dim(0);
+    Index inside = 0, wrong = 0, houses = 0, trees = 0;
+    for (Index i = 0; i < N; ++i) {
+      for (Index j = 0; j < N; ++j) {
+        const double e = scene.frame.easting0 + scene.dsm.x0 +
+                         (static_cast<double>(j) + 0.5) * scene.dsm.step,
+                     n = scene.frame.northing0 + scene.dsm.y0 -
+                         (static_cast<double>(i) + 0.5) * scene.dsm.step;
+        const auto r = static_cast<Index>(std::floor((town.grid.y0 - n) / town.grid.step)),
+                   c = static_cast<Index>(std::floor((e - town.grid.x0) / town.grid.step));
+        const float z = scene.dsm.z[i * N + j];
+        CHECK_UNARY(std::isfinite(z));
+        if (r < 0 || c < 0 || r >= M || c >= M) continue;
+        const auto want = static_cast<double>(town.z[r * M + c]);
+        if (std::isnan(want)) continue;
+        ++inside;
+        wrong += std::abs(static_cast<double>(z) + scene.frame.h0 - want) > 1e-3;
+        const bool house = r >= 32 && r < 52 && c >= 22 && c < 58,
+                   tree = r >= 32 && r < 52 && c >= 82 && c < 108;
+        const float label = scene.classes[i * N + j];
+        if (house) houses += label == 6 ? 1 : -1;
+        if (tree) trees += label == 5 ? 1 : -1;
+      }
+    }
+    CHECK(inside > M * M / 3);
+    CHECK(wrong == 0);
+    CHECK(houses > 400);
+    CHECK(trees > 200);
+    for (const SimulatedView& v : scene.views) {
+      for (const float z : v.height.values()) CHECK_UNARY(std::isfinite(z));
+      CHECK(v.rpc.project(scene.frame.geodetic_from_local({0, 0, 0})).x ==
+            doctest::Approx(31.5).epsilon(0.8));
+    }
+  }
+  CHECK_FALSE(simulate_on_surface(little_town(true), config, 3, 1).frame ==
+              simulate_on_surface(little_town(true), config, 3, 0).frame);
+
+  GivenSurface other = little_town(true);
+  other.classes = Tensor({5, 128});
+  CHECK_THROWS_AS(simulate_on_surface(other, config, 3, 0), ShapeError);
+}
+
+TEST_CASE("surfaces are read as they were written, and wrong ones are refused") {
+  const test::TempFolder folder("surface");
+  const GivenSurface town = little_town(true);
+  const auto dsm = folder.path() / "dsm.tif", classes = folder.path() / "classes.tif";
+  rpc::write_geo_raster(dsm, town.z, town.grid);
+  rpc::write_geo_raster(classes, town.classes, town.grid);
+  const GivenSurface back = read_surface(dsm, classes);
+  CHECK(back.zone == town.zone);
+  CHECK(back.grid == town.grid);
+  CHECK(back.z[77] == town.z[77]);
+  CHECK(std::isnan(back.z[100 * 128]));
+  CHECK(back.classes[40 * 128 + 30] == 6);
+  CHECK(read_surface(dsm, {}).classes.empty());
+
+  rpc::GeoGrid moved = town.grid;
+  moved.x0 += 1;
+  rpc::write_geo_raster(classes, town.classes, moved);
+  CHECK_THROWS_WITH_AS(
+      read_surface(dsm, classes),
+      (classes.string() + ": another grid, expected that of " + dsm.string()).c_str(), IoError);
+  moved.epsg = 3857;
+  rpc::write_geo_raster(dsm, town.z, moved);
+  CHECK_THROWS_WITH_AS(read_surface(dsm, {}),
+                       (dsm.string() + ": EPSG:3857, expected a zone of UTM or no system").c_str(),
+                       IoError);
 }
