@@ -174,6 +174,7 @@ void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput&
   evaluate::EvaluateOptions how;
   how.views = options.views;
   how.registration = options.registration;
+  how.surface = options.surface;
   how.window = options.window;
   how.mask_water = options.mask_water;
   how.meshes = options.meshes;

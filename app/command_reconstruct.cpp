@@ -284,6 +284,7 @@ void run_reconstruct(const ReconstructCommand& options) {
 
   const auto start = std::chrono::steady_clock::now();
   reconstruct::ReconstructOptions how;
+  how.surface = options.surface;
   how.resolution = options.resolution;
   const bool with_mesh = options.mesh == MeshKind::tsdf;
   if (with_mesh) how.mesh = options.voxel;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/app/reconstruct_options.h"
 #include "satsurf/core/fields.h"
 #include "satsurf/evaluate/metrics.h"
 
@@ -80,6 +81,7 @@ struct EvaluateDataConfig {
   std::filesystem::path data, weights, lpips_weights;  ///< all but the first may be empty
   Index views = 3, window = 512;
   evaluate::Registration registration = evaluate::Registration::none;
+  reconstruct::Surface surface = reconstruct::Surface::splat;
   bool mask_water = true, meshes = true;
 
   template <class Self, class V>
@@ -88,6 +90,7 @@ struct EvaluateDataConfig {
     v("weights", s.weights,
       Field{.help = "network weights", .automatic = "the shipped ones, or SATSURF_WEIGHTS"});
     v("views", s.views, Field{.help = "source images of each scene", .min = 2, .max = 32});
+    v("surface", s.surface, surface_field());
     v("window", s.window,
       Field{.help = "largest side of the window about the truth's middle in which views are scored",
             .unit = "px",

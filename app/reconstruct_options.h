@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/app/program.h"
+#include "satsurf/reconstruct/plan.h"
 
 #include <array>
 #include <filesystem>
@@ -21,12 +22,20 @@ struct satsurf::EnumNames<satsurf::app::MeshKind> {
 
 namespace satsurf::app {
 
+/// `--surface` of a reconstruction and of those that `evaluate` scores.
+inline Field surface_field() {
+  return {.help =
+              "how the images' heights become one surface: in each cell the densest mode, "
+              "weighed by what the images say of one another, or splatted from above"};
+}
+
 /// What a surface depends on: a run's record repeats it, images included.
 struct ReconstructConfig {
   std::vector<std::filesystem::path> images, image_dirs;
   std::filesystem::path weights;  ///< empty for the shipped ones
   OptionalPair height_range;      ///< m above the ellipsoid
-  double resolution = 0;          ///< m, 0 for the images' own
+  reconstruct::Surface surface = reconstruct::Surface::splat;
+  double resolution = 0;  ///< m, 0 for the images' own
   MeshKind mesh = MeshKind::tsdf;
   double voxel = 0;  ///< of the mesh, m; 0 for two pixels on the ground
 
@@ -51,6 +60,7 @@ struct ReconstructConfig {
             .automatic = "from metadata, else found",
             .flag = "--height-range",
             .placeholder = "LOW HIGH"});
+    v("surface", s.surface, surface_field());
     v("resolution", s.resolution,
       Field{.help = "cell of the surface",
             .unit = "m",

@@ -171,6 +171,7 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
   const auto start = std::chrono::steady_clock::now();
   reconstruct::ReconstructOptions how;
   how.resolution = scene.truth->step;
+  how.surface = options.surface;
   if (options.meshes) how.mesh = 0;
   how.progress = options.progress;
   const reconstruct::Reconstruction made = reconstruct::reconstruct(model, seen, how);

@@ -8,6 +8,7 @@
 #include "satsurf/mesh/compare.h"
 #include "satsurf/nn/input.h"
 #include "satsurf/nn/model.h"
+#include "satsurf/reconstruct/plan.h"
 #include "satsurf/scene/scene.h"
 
 #include <array>
@@ -76,6 +77,7 @@ struct EvaluateOptions {
   /// network looks at as much of the sources, and as much of the target is rendered.
   Index window = 512;
   Registration registration = Registration::none;
+  reconstruct::Surface surface = reconstruct::Surface::splat;
   bool mask_water = true;            ///< leave out cells of class 9
   bool meshes = true;                ///< also compare meshes, which takes a few seconds per scene
   const nn::Lpips* lpips = nullptr;  ///< scores rendered targets too, if given

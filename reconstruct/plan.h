@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/fields.h"
 #include "satsurf/nn/forward_memory.h"
 #include "satsurf/scene/scene.h"
 
@@ -12,8 +13,24 @@
 
 namespace satsurf::reconstruct {
 
+/// How the surfels of all views become one surface.
+enum class Surface {
+  plain,  ///< by what the views say of one another's surfels, the densest mode in each cell
+  splat   ///< rendered from straight above
+};
+
+}  // namespace satsurf::reconstruct
+
+template <>
+struct satsurf::EnumNames<satsurf::reconstruct::Surface> {
+  static constexpr std::array names{"plain", "splat"};
+};
+
+namespace satsurf::reconstruct {
+
 /// How a surface is made.
 struct ReconstructOptions {
+  Surface surface = Surface::splat;
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;

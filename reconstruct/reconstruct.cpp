@@ -4,6 +4,8 @@
 #include "satsurf/core/block_pool.h"
 #include "satsurf/core/memory.h"
 #include "satsurf/nn/surfel_head.h"
+#include "satsurf/ops/concat.h"
+#include "satsurf/reconstruct/fusion.h"
 #include "satsurf/reconstruct/trust.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/splat/select.h"
@@ -64,17 +66,71 @@ std::vector<nn::PosedImage> whole_images(const scene::Scene& scene, const Recons
   return images;
 }
 
-/// Surface, confidence and completeness on the grid of the plan.
-/// render  the surfels from above
-void read_surface(Reconstruction& out, const splat::Render& render, const scene::Scene& scene,
+/// The confidences of surfels, which are their first auxiliary channel.
+/// aux    [P K]
+/// shape  of the result, of P numbers or fewer, which then are the first
+Tensor first_channel(const Tensor& aux, const Shape& shape) {
+  auto out = Tensor::uninitialised(shape);
+  const Index K = aux.dim(1);
+  for (Index i = 0; i < out.count(); ++i) out[i] = aux[i * K];
+  return out;
+}
+
+/// What fusion has to know of the surfels of all tiles.
+class Evidence {
+ public:
+  /// Adds those of a tile.
+  void add(const nn::NetworkInput& input, const nn::StageOutput<float>& stage,
+           const std::vector<Index>& keep) {
+    const Tensor& heights = stage.height.value();
+    const SurfelEvidence evidence = surfel_evidence(
+        input, heights, first_channel(stage.surfels.aux.value(), heights.shape()), keep);
+    weights_.push_back(Var(evidence.weight));
+    rays_.push_back(Var(evidence.rays));
+    interval_ += parallax_interval(input);
+    const double z = input.z_range.middle();
+    for (const nn::PosedImage& view : input.sources)
+      footprint_ +=
+          nn::pixel_geometry(view, z, 1).footprint / static_cast<double>(input.sources.size());
+  }
+  SurfelEvidence all() const { return {concat(weights_, 0).value(), concat(rays_, 0).value()}; }
+  FusionGrid grid(const ReconstructPlan& plan) const {
+    const double tiles = static_cast<double>(weights_.size());
+    return {.east = plan.east,
+            .north = plan.north,
+            .step = plan.step,
+            .height = plan.height,
+            .width = plan.width,
+            .footprint = footprint_ / tiles,
+            .interval = interval_ / tiles};
+  }
+
+ private:
+  std::vector<Var> weights_, rays_;
+  double footprint_ = 0, interval_ = 0;  ///< summed over the tiles, m
+};
+
+/// Splats the surfels from straight above.
+FusedSurface splatted(const splat::Surfels& surfels, const ReconstructPlan& plan) {
+  const auto render = splat::render_view(
+      surfels, splat::nadir_camera(plan.east, plan.north, plan.step), plan.height, plan.width, 1);
+  FusedSurface out{
+      splat::surface_heights(render), Tensor({plan.height, plan.width}, std::nanf("")), {}};
+  for (Index i = 0; i < out.heights.count(); ++i)
+    if (std::isfinite(out.heights[i]))
+      out.confidence[i] = render.aux.value()[i] / render.alpha.value()[i];
+  return out;
+}
+
+/// Puts a surface on the grid of the plan and counts its cells.
+void keep_surface(Reconstruction& out, FusedSurface surface, const scene::Scene& scene,
                   const ReconstructPlan& plan) {
   const Index W = plan.width, H = plan.height;
-  out.dsm = {splat::surface_heights(render), plan.east, plan.north, plan.step};
-  out.confidence = Tensor({H, W}, std::nanf(""));
+  out.dsm = {std::move(surface.heights), plan.east, plan.north, plan.step};
+  out.confidence = std::move(surface.confidence);
   Index found = 0, expected = 0;
   for (Index i = 0; i < H * W; ++i) {
     if (std::isfinite(out.dsm.z[i])) {
-      out.confidence[i] = render.aux.value()[i] / render.alpha.value()[i];
       ++found;
       ++expected;
       continue;
@@ -99,6 +155,7 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
 
   Reconstruction out;
   std::vector<splat::Surfels> parts;
+  Evidence evidence;
   for (std::size_t t = 0; t < plan.tiles.size(); ++t) {
     const auto poll = [&] {
       report("network", static_cast<double>(t) / static_cast<double>(plan.tiles.size()));
@@ -112,8 +169,10 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
     poll();
     const auto tile = plan.tiles.size() > 1 ? std::optional(plan.tiles[t]) : std::nullopt;
     const splat::Surfels& surfels = stages[2].surfels;
-    parts.push_back(splat::selected(surfels, trusted_surfels(crop.input, surfels.means.value(),
-                                                             stages[2].height.value(), tile)));
+    const std::vector<Index> keep =
+        trusted_surfels(crop.input, surfels.means.value(), stages[2].height.value(), tile);
+    parts.push_back(splat::selected(surfels, keep));
+    if (options.surface == Surface::plain) evidence.add(crop.input, stages[2], keep);
     if (t + 1 == plan.tiles.size()) out.images = whole_images(scene, plan, crop);
   }
 
@@ -127,13 +186,19 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
   const double before = static_cast<double>(tensor_bytes());
   const std::size_t earlier = peak_tensor_bytes();
   reset_peak_tensor_bytes();
-  const auto render =
-      splat::render_view(out.surfels, splat::nadir_camera(plan.east, plan.north, plan.step),
-                         plan.height, plan.width, 1);
+  FusedSurface surface;
+  if (options.surface == Surface::plain) {
+    const Tensor& means = out.surfels.means.value();
+    const Tensor sure = first_channel(out.surfels.aux.value(), {means.dim(0)});
+    surface = fuse_surfels(means, sure, evidence.all(), evidence.grid(plan));
+    out.surfels = splat::selected(out.surfels, surface.kept);
+  } else {
+    surface = splatted(out.surfels, plan);
+  }
   out.memory.push_back({"surface", static_cast<double>(peak_tensor_bytes()) - before});
   raise_peak_tensor_bytes(earlier);
   report("surface", 1);
-  read_surface(out, render, scene, plan);
+  keep_surface(out, std::move(surface), scene, plan);
   return out;
 }
 

@@ -28,8 +28,8 @@ struct Reconstruction {
   std::vector<nn::PartMemory> memory;          ///< the same parts, measured
 };
 
-/// Runs the network over all views of the scene (each is a source) and renders the surface from
-/// above. Neither reads nor writes files.
+/// Runs the network over all views of the scene (each is a source) and makes one surface of their
+/// surfels. Neither reads nor writes files.
 /// throws  Error if fewer than two views see a common ground, or if the memory does not suffice;
 ///         what `options.progress` throws
 Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
