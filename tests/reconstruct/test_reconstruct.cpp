@@ -230,6 +230,39 @@ TEST_CASE("an image turned with its camera gives the same surface") {
   }
 }
 
+TEST_CASE("the plain surface is made of surfels that the splatted one is made of, too") {
+  for (const Index views : {Index{2}, Index{4}})
+    for (const Index tile : {Index{0}, Index{64}}) {
+      CAPTURE(views);
+      CAPTURE(tile);
+      const scene::SimulatedScene made = test::village(96, views);
+      const scene::Scene scene =
+          scene::scene_from_images(test::HeldImages(made).images(), test::range_of(made)).scene;
+      const nn::Model model(nn::model_preset("tiny"), 3);
+      ReconstructOptions options;
+      options.tile = tile;
+      const Reconstruction splat = reconstruct::reconstruct(model, scene, options);
+      options.surface = Surface::plain;
+      const Reconstruction plain = reconstruct::reconstruct(model, scene, options);
+      CHECK(plain.tiles == splat.tiles);
+      CHECK(plain.dsm.z.shape() == splat.dsm.z.shape());
+      CHECK_FALSE(same_bits(plain.dsm.z, splat.dsm.z));
+      CHECK(std::abs(plain.completeness - splat.completeness) < 0.15);
+      for (Index i = 0; i < plain.dsm.z.count(); ++i) {
+        CHECK(std::isnan(plain.dsm.z[i]) == std::isnan(plain.confidence[i]));
+        if (std::isfinite(plain.confidence[i]))
+          CHECK((plain.confidence[i] >= 0 && plain.confidence[i] <= 1.0001f));
+      }
+      // An untrained network's views agree on little, so some go, and the rest keep their order.
+      const Tensor &few = plain.surfels.means.value(), &many = splat.surfels.means.value();
+      CHECK(few.dim(0) < many.dim(0));
+      Index at = 0;
+      for (Index k = 0; k < many.dim(0) && at < few.dim(0); ++k)
+        if (std::equal(few.data() + 3 * at, few.data() + 3 * at + 3, many.data() + 3 * k)) ++at;
+      CHECK(at == few.dim(0));
+    }
+}
+
 TEST_CASE("tiles give the surface of the whole, without seams") {
   const scene::SimulatedScene made = test::village(256, 3);
   const scene::Scene scene =
