@@ -123,6 +123,8 @@ void add_limit_rows();
 void add_conv_rows();
 void add_op_rows();
 void add_splat_rows();
+/// Only in a build with the whole library.
+void add_fusion_rows();
 void add_model_rows();
 
 }  // namespace satsurf::bench

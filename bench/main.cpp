@@ -48,6 +48,9 @@ int run(int argc, char** argv) {
   add_conv_rows();
   add_op_rows();
   add_splat_rows();
+#ifdef SATSURF_WITH_GEO
+  add_fusion_rows();
+#endif
   add_model_rows();
 
   const std::unique_ptr<benchmark::BenchmarkReporter> wanted(

@@ -13,7 +13,7 @@ set(may_reconstruct ${may_scene} reconstruct)
 set(may_train ${may_scene} train)
 set(may_evaluate ${may_scene} reconstruct train evaluate)
 set(may_app ${may_evaluate} app)
-set(may_bench ${may_nn} bench)
+set(may_bench ${may_reconstruct} bench)  # what lies above nn only in a build that has it
 set(readers rpc/gdal.h rpc/read.cpp rpc/read_info.cpp rpc/read_rpc.cpp rpc/raster.cpp)  # the only ones that know GDAL
 
 cmake_minimum_required(VERSION 3.25)
