@@ -104,6 +104,10 @@ class Furnisher {
     add_groves(layout_, rng_.fork(2), static_cast<float>(f.groves), static_cast<float>(spacing),
                layout_.plan.kind == SceneKind::rough ? draw(r, 1.2, 4.5) : draw(r, 3, 6));
     if (f.block_u < 1e5) traffic(rng_.fork(3));
+    if (layout_.plan.kind == SceneKind::city || layout_.plan.kind == SceneKind::suburb ||
+        layout_.plan.kind == SceneKind::industrial) {
+      elevated_road(rng_.fork(4));
+    }
   }
 
  private:
@@ -295,6 +299,44 @@ class Furnisher {
                       : place_car(list, r, at, line + side, true, lorries);
         }
       }
+    }
+  }
+
+  // A road on posts along one of the streets, or the bridge of that street where there is water.
+  void elevated_road(Rng r) {
+    const Streets& s = layout_.streets;
+    if (!r.chance(layout_.plan.water ? 0.4 : 0.12)) return;
+    const bool along_v = r.chance(0.5);
+    const std::vector<float>& lines = along_v ? s.u_lines : s.v_lines;
+    const float wanted = draw(r, -0.5, 0.5) * layout_.half_side();
+    const float line = *std::min_element(lines.begin(), lines.end(), [&](float one, float other) {
+      return std::abs(one - wanted) < std::abs(other - wanted);
+    });
+    const float reach = 1.45f * layout_.half_side(), wide = s.half_width * draw(r, 0.8, 1.1);
+    Part p =
+        along_v ? part_at(layout_, line, 0, wide, reach) : part_at(layout_, 0, line, reach, wide);
+    float top = -1e9f, low = 1e9f;
+    for (float at = -reach; at < reach; at += 4) {
+      const float u = along_v ? line : at, v = along_v ? at : line;
+      const float z = layout_.at(layout_.terrain, u * s.cos - v * s.sin, u * s.sin + v * s.cos);
+      top = std::max(top, z);
+      low = std::min(low, z);
+    }
+    p.base = low;
+    p.eave = std::min(top + draw(r, 4.5, 8), static_cast<float>(layout_.plan.relief) + 12);
+    p.rise = draw(r, 0.6, 1.1);
+    p.open = true;
+    p.window_share = 0;
+    p.roof_colour = r.chance(0.5) ? s.colour : grey(draw(r, 0.2, 0.35), 1.03f);
+    p.wall_colour = p.parapet_colour = grey(draw(r, 0.3, 0.5), 1.02f);
+    p.texture = 1.5f;
+    layout_.parts.push_back(p);
+    for (float at = -reach; at < reach; at += draw(r, 8, 40)) {
+      const float lane = (r.chance(0.5) ? 1.0f : -1.0f) * 0.4f * wide;
+      const std::size_t before = layout_.visitors.size();
+      along_v ? place_car(layout_.visitors, r, line + lane, at, false, 0.15)
+              : place_car(layout_.visitors, r, at, line + lane, true, 0.15);
+      if (layout_.visitors.size() > before) layout_.visitors.back().deck = true;
     }
   }
 

@@ -57,6 +57,8 @@ holds() {
 
 # --- the whole path ------------------------------------------------------------------------------------------------
 succeeds "simulate" "$satsurf" simulate --out data --scenes 2 --views 4 --pixels 96 --seed 5 --quiet
+succeeds "simulate on a surface" "$satsurf" simulate --out relit --scenes 1 --views 2 --pixels 64 --seed 1 --quiet \
+  --surface data/Track3-Truth/SIM_001_DSM.tif --classes data/Track3-Truth/SIM_001_CLS.tif
 succeeds "simulate again" "$satsurf" simulate --out again --scenes 2 --views 4 --pixels 96 --seed 5 --quiet --threads 1
 holds "same seed, same images" diff -r -x run.json data again
 rm -rf again
@@ -396,6 +398,8 @@ refuses "heights that are no number" 2 "height.range.*nan" "$satsurf" reconstruc
 refuses "heights without a span" 2 "height.range.*at least 1 m" "$satsurf" reconstruct "${images[@]}" --out no --height-range 20 20.001
 refuses "heights of no camera" 2 "height.range.*SIM_001_001_RGB.tif" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 8000 8100 --quiet
 refuses "angles at odds" 2 "off_nadir_min_deg is 40.*10 of off_nadir_max_deg" "$satsurf" simulate --out no --off_nadir_min_deg 40 --off_nadir_max_deg 10
+refuses "weights of kinds at odds" 2 "kind_weights has 1 numbers, expected the 2 of kinds" "$satsurf" simulate --out no --kinds city,rural --kind_weights 1
+refuses "classes without a surface" 2 "classes comes without --surface" "$satsurf" simulate --out no --classes data/Track3-Truth/SIM_001_CLS.tif
 refuses "parallax at odds" 2 "parallax_min is 50" "$satsurf" simulate --out no --parallax_min 50 --parallax_max 60
 echo '{"lr": NaN}' >nan.json
 refuses "NaN in a configuration" 2 "nan.json.*expected a JSON value" "$satsurf" train --config nan.json --data data --out no
