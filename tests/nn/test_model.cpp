@@ -464,8 +464,9 @@ TEST_CASE("wrong inputs are refused by name") {
   scene.sources.resize(1);
   CHECK_THROWS_WITH_AS(model.forward(scene), "model: 1 source views, expected two or more",
                        ShapeError);
-  CHECK_THROWS_WITH_AS(nn::model_preset("huge"),
-                       "preset: 'huge', expected one of tiny, tiny_full, base8, base16, cascade8, "
-                       "paper, mvsplat_like, hisplat_like, skysplat_like",
-                       ConfigError);
+  CHECK_THROWS_WITH_AS(
+      nn::model_preset("huge"),
+      "preset: 'huge', expected one of tiny, tiny_full, base8, base16, wide8, cascade8, "
+      "paper, mvsplat_like, hisplat_like, skysplat_like",
+      ConfigError);
 }
