@@ -6,7 +6,9 @@
 #include "satsurf/core/fields_json.h"
 
 #include <algorithm>
+#include <array>
 #include <bit>
+#include <cmath>
 #include <cstring>
 #include <fstream>
 #include <limits>
@@ -25,9 +27,16 @@ constexpr std::uint64_t kLengthBytes = 8;
 constexpr std::uint64_t kMostHeader = 100'000'000;  // the format's own limit
 constexpr const char* kDamaged = "; incomplete download or corrupt file?";
 
+__extension__ using Half = _Float16;
+
+/// The types of elements that are read, and what the format calls them.
+enum class Type { f16, f32, f64 };
+constexpr std::array<std::string_view, 3> kTypeNames{"F16", "F32", "F64"};
+constexpr std::array<std::uint64_t, 3> kTypeBytes{2, 4, 8};
+
 struct Entry {
   std::string name;
-  bool is_double = false;
+  Type type = Type::f32;
   Shape shape;
   std::uint64_t begin = 0, end = 0;  // bytes after the header
 };
@@ -48,6 +57,7 @@ class Reader {
   Entry read_entry(const std::string& name, const json& object) const;
   std::uint64_t read_unsigned(const json& value, const std::string& what) const;
   void check_layout(std::vector<Entry>& entries) const;
+  void read_bytes(const Entry& entry, void* to);
   template <class T>
   BasicTensor<T> read_tensor(const Entry& entry);
 
@@ -113,14 +123,16 @@ Entry Reader::read_entry(const std::string& name, const json& object) const {
   Entry e;
   e.name = name;
   const json &dtype = object["dtype"], &shape = object["shape"], &offsets = object["data_offsets"];
-  if (dtype != "F32" && dtype != "F64")
-    fail(what + " has dtype " + dtype.dump() + ", expected \"F32\" or \"F64\"");
-  e.is_double = dtype == "F64";
+  const auto known = dtype.is_string() ? std::ranges::find(kTypeNames, dtype.get<std::string>())
+                                       : kTypeNames.end();
+  if (known == kTypeNames.end())
+    fail(what + " has dtype " + dtype.dump() + ", expected \"F16\", \"F32\" or \"F64\"");
+  e.type = static_cast<Type>(known - kTypeNames.begin());
 
   if (!shape.is_array() || shape.size() > static_cast<std::size_t>(Shape::kMaxRank))
     fail(what + " has shape " + shape.dump() + ", expected a list of at most 5 extents");
   std::vector<Index> extents;
-  std::uint64_t wanted = e.is_double ? sizeof(double) : sizeof(float);
+  std::uint64_t wanted = kTypeBytes[static_cast<std::size_t>(e.type)];
   bool overflow = false;
   for (const json& value : shape) {
     const std::uint64_t extent =
@@ -162,13 +174,22 @@ void Reader::check_layout(std::vector<Entry>& entries) const {
          std::to_string(at) + " of its tensors" + kDamaged);
 }
 
+void Reader::read_bytes(const Entry& entry, void* to) {
+  in_.seekg(static_cast<std::streamoff>(data_begin_ + entry.begin));
+  in_.read(static_cast<char*>(to), static_cast<std::streamsize>(entry.end - entry.begin));
+  if (!in_) fail("tensor '" + entry.name + "' cannot be read" + kDamaged);
+}
+
 template <class T>
 BasicTensor<T> Reader::read_tensor(const Entry& entry) {
   auto t = BasicTensor<T>::uninitialised(entry.shape);
-  in_.seekg(static_cast<std::streamoff>(data_begin_ + entry.begin));
-  in_.read(reinterpret_cast<char*>(t.data()),
-           static_cast<std::streamsize>(entry.end - entry.begin));
-  if (!in_) fail("tensor '" + entry.name + "' cannot be read" + kDamaged);
+  if (entry.type == Type::f16) {
+    std::vector<Half> halves(static_cast<std::size_t>(t.count()));
+    read_bytes(entry, halves.data());
+    std::ranges::transform(halves, t.data(), [](Half h) { return static_cast<T>(h); });
+  } else {
+    read_bytes(entry, t.data());
+  }
   return t;
 }
 
@@ -184,7 +205,7 @@ TensorFile Reader::load() {
   }
   check_layout(entries);
   for (const Entry& e : entries) {
-    if (e.is_double)
+    if (e.type == Type::f64)
       file.doubles[e.name] = read_tensor<double>(e);
     else
       file.tensors[e.name] = read_tensor<float>(e);
@@ -215,7 +236,19 @@ void save_safetensors(const std::filesystem::path& path, const TensorFile& file)
                      static_cast<std::size_t>(tensor.count()) * sizeof(*tensor.data())};
     }
   };
-  add(file.tensors, "F32");
+  std::map<std::string, std::vector<Half>> halves;  // what `bytes` points to
+  add(file.tensors, file.half ? "F16" : "F32");
+  if (file.half)
+    for (const auto& [name, tensor] : file.tensors) {
+      std::vector<Half>& rounded = halves[name];
+      for (const float v : tensor.values()) {
+        rounded.push_back(static_cast<Half>(v));
+        if (std::isfinite(v) && !std::isfinite(static_cast<float>(rounded.back())))
+          throw IoError(path.string() + ": tensor '" + name + "' holds " + std::to_string(v) +
+                        ", expected at most 65504 in half precision");
+      }
+      bytes[name] = {reinterpret_cast<const char*>(rounded.data()), rounded.size() * sizeof(Half)};
+    }
   add(file.doubles, "F64");
 
   std::uint64_t at = 0;

@@ -191,6 +191,7 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
       average.swap();
     }
     weights.metadata["train"] = without_folders(config).dump();
+    weights.half = settings.half;
     callbacks.save(checkpoint, weights);
   };
 

@@ -60,6 +60,7 @@ struct TrainingSettings {
   double grey_share = 0.4;       ///< share of the samples made panchromatic
   double radiometry = 0.15;      ///< random gain, offset and gamma of a sample
   Index checkpoint_every = 200;  ///< steps
+  bool half = false;             ///< weights in half precision
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -86,6 +87,8 @@ struct TrainingSettings {
     v("radiometry", s.radiometry,
       Field{.help = "random gain, offset and gamma of a sample", .min = 0, .max = 0.9});
     v("checkpoint_every", s.checkpoint_every, Field{.help = "steps between checkpoints", .min = 1});
+    v("half", s.half,
+      Field{.help = "write weights.safetensors in half precision, at half the size"});
   }
 };
 

@@ -94,6 +94,29 @@ TEST_CASE("safetensors: the bytes of a small file") {
         with_header(header, "\0\0\0\0\0\0\xf0\x3f\0\0\x80\x3f\0\0\0\xc0"s));
 }
 
+TEST_CASE("safetensors: half precision is rounded to the nearest, and read as float") {
+  const test::TempFolder folder("safetensors-half");
+  TensorFile f;
+  f.half = true;
+  f.tensors["b"] = Tensor::from({6}, {1, -2, 1.0003f, 65504, 1e-9f, 0.1f});
+  f.doubles["a"] = BasicTensor<double>::scalar(0.1);
+  save_safetensors(folder / "x", f);
+  std::string header = R"({"a":{"dtype":"F64","shape":[],"data_offsets":[0,8]},)"
+                       R"("b":{"dtype":"F16","shape":[6],"data_offsets":[8,20]}})";
+  header.resize((header.size() + 7) / 8 * 8, ' ');
+  using namespace std::string_literals;
+  CHECK(read_bytes(folder / "x").substr(0, 8 + header.size() + 8 + 6) ==
+        with_header(header, "\x9a\x99\x99\x99\x99\x99\xb9\x3f\0\x3c\0\xc0\0\x3c"s));
+  const TensorFile back = load_safetensors(folder / "x");
+  CHECK(back.doubles.at("a")[0] == 0.1);
+  const Tensor& b = back.tensors.at("b");
+  const std::vector<float> want{1, -2, 1, 65504, 0, 0.0999755859375f};
+  for (Index i = 0; i < 6; ++i) CHECK(b[i] == want[static_cast<std::size_t>(i)]);
+  f.tensors["b"] = Tensor::from({1}, {70000});
+  CHECK_THROWS_AS(save_safetensors(folder / "y", f), IoError);
+  CHECK_FALSE(std::filesystem::exists(folder / "y"));
+}
+
 TEST_CASE("safetensors: a file without tensors is a file") {
   const test::TempFolder folder("safetensors-empty");
   save_safetensors(folder / "x", {});
@@ -139,9 +162,9 @@ TEST_CASE("safetensors: broken entries are refused by name") {
   CHECK(complaint_about(R"({"dtype":"F32","shape":[2],"data_offsets":[0,8],"x":1})") ==
         "tensor 't' has the key 'x', expected dtype, shape and data_offsets");
   CHECK(complaint_about(R"({"dtype":"BF16","shape":[4],"data_offsets":[0,8]})") ==
-        R"(tensor 't' has dtype "BF16", expected "F32" or "F64")");
+        R"(tensor 't' has dtype "BF16", expected "F16", "F32" or "F64")");
   CHECK(complaint_about(R"({"dtype":4,"shape":[4],"data_offsets":[0,8]})") ==
-        R"(tensor 't' has dtype 4, expected "F32" or "F64")");
+        R"(tensor 't' has dtype 4, expected "F16", "F32" or "F64")");
   CHECK(complaint_about(R"({"dtype":"F32","shape":[1,1,1,1,1,2],"data_offsets":[0,8]})") ==
         "tensor 't' has shape [1,1,1,1,1,2], expected a list of at most 5 extents");
   CHECK(complaint_about(R"({"dtype":"F32","shape":2,"data_offsets":[0,8]})") ==
