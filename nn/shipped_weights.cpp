@@ -22,7 +22,7 @@ fs::path shipped_weights(ShippedNetwork network, const std::string& hint, const 
   for (const fs::path& place : {program.parent_path() / "share/satsurf", sources / "nn/weights",
                                 folder, fs::path(SATSURF_INSTALLED_WEIGHTS)}) {
     if (place.empty()) continue;
-    const fs::path file = place / (surface ? "base8.safetensors" : "mono12.safetensors");
+    const fs::path file = place / (surface ? "wide8.safetensors" : "mono12.safetensors");
     if (fs::exists(file)) return file;
     looked += (looked.empty() ? "" : ", ") + file.string();
   }

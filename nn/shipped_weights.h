@@ -13,7 +13,7 @@ namespace satsurf::nn {
 
 /// A trained network that comes with the library.
 enum class ShippedNetwork {
-  surface,  ///< `base8.safetensors`, for `load_model`; SATSURF_WEIGHTS names another file
+  surface,  ///< `wide8.safetensors`, for `load_model`; SATSURF_WEIGHTS names another file
   mono      ///< `mono12.safetensors`, for `load_mono`: the branch that training starts from
 };
 

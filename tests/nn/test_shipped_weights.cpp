@@ -26,6 +26,6 @@ TEST_CASE("SATSURF_WEIGHTS names the surface network's weights alone") {
   CHECK(shipped_weights() == "own.safetensors");
   CHECK(shipped_weights(ShippedNetwork::mono).filename() == "mono12.safetensors");
   ::setenv("SATSURF_WEIGHTS", "", 1);
-  CHECK(shipped_weights().filename() == "base8.safetensors");
+  CHECK(shipped_weights().filename() == "wide8.safetensors");
   ::unsetenv("SATSURF_WEIGHTS");
 }
