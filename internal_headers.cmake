@@ -10,7 +10,8 @@ set(satsurf_internal_headers
   "/mesh/sampled_view\\.h$"
   "/scene/(ray_walk|satnerf)\\.h$"
   "/scene/simulate/(city|conditions|develop|dress|given|layout|noise|orbit|render|texture)\\.h$"
-  "/reconstruct/(cell_mode|cross_check|fusion|trust)\\.h$"
+  "/reconstruct/(cast|cell_mode|cell_surfels|cross_check|fusion|surface_input|trust)\\.h$"
+  "/train/(sample_batch)\\.h$"
   "/evaluate/(score_views|sight_lines)\\.h$")
 # Of the readers' room the engine has the cameras alone.
 set(satsurf_reader_headers "/rpc/(raster|read)\\.h$")

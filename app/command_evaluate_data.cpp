@@ -139,6 +139,10 @@ void print_causes(const nlohmann::ordered_json& table) {
   std::printf("lost pixels     %s by stage 1, %s by stage 2\n",
               cell(8, 2, 100 * mean("lost_stage1"), "%").c_str(),
               cell(1, 2, 100 * mean("lost_stage2"), "%").c_str());
+  if (std::isfinite(mean("sigma_within_1")))
+    std::printf("expected errors %s of the cells within one, %s within two\n",
+                cell(8, 1, 100 * mean("sigma_within_1"), "%").c_str(),
+                cell(1, 1, 100 * mean("sigma_within_2"), "%").c_str());
 }
 
 /// How the error depends on the confidence, in a line.
@@ -158,7 +162,7 @@ void print_confidence(const char* title, const evaluate::ConfidenceErrors& error
 void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput& output) {
   const fs::path weights =
       options.weights.empty()
-          ? nn::shipped_weights(nn::ShippedNetwork::surface, "give --weights FILE")
+          ? nn::shipped_weights(nn::ShippedNetwork::cascade, "give --weights FILE")
           : options.weights;
   std::vector<fs::path> inputs{weights, options.data};
   if (!options.lpips_weights.empty()) inputs.push_back(options.lpips_weights);
@@ -168,6 +172,7 @@ void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput&
   check_output_file("--confidence-figure", options.confidence_figure, output.overwrite, inputs);
   check_distinct({options.csv, output.json, options.confidence_csv, options.confidence_figure});
   const nn::Model model = nn::load_model(weights);
+  const std::optional<nn::Surface> network = nn::load_surface(weights);
   std::optional<nn::Lpips> lpips;
   if (!options.lpips_weights.empty()) lpips.emplace(nn::Lpips::load(options.lpips_weights));
   Progress progress;
@@ -175,6 +180,7 @@ void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput&
   how.views = options.views;
   how.registration = options.registration;
   how.surface = options.surface;
+  how.network = network ? &*network : nullptr;
   how.window = options.window;
   how.mask_water = options.mask_water;
   how.meshes = options.meshes;

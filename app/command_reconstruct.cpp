@@ -116,6 +116,11 @@ void write_surface(const OutputFolder& folder, const reconstruct::Reconstruction
   rpc::GeoTags unitless;
   unitless.unit = "", unitless.description = "Confidence of the surface, 0 to 1";
   write_field(folder / "confidence.tif", made.confidence, made.dsm, frame, 0, unitless);
+  if (!made.sigma.empty()) {
+    rpc::GeoTags expected;
+    expected.description = "Expected error of the heights, m";
+    write_field(folder / "height_sigma.tif", made.sigma, made.dsm, frame, 0, expected);
+  }
   splat::write_ply(folder / "surfels.ply", made.surfels, frame_comments(frame));
 }
 
@@ -252,7 +257,7 @@ void run_reconstruct(const ReconstructCommand& options) {
   const NoGrad no_grad;
   const fs::path weights =
       options.weights.empty()
-          ? nn::shipped_weights(nn::ShippedNetwork::surface, "give --weights FILE")
+          ? nn::shipped_weights(nn::ShippedNetwork::cascade, "give --weights FILE")
           : options.weights;
   std::vector<fs::path> apart{weights};
   apart.insert(apart.end(), options.images.begin(), options.images.end());
@@ -262,6 +267,7 @@ void run_reconstruct(const ReconstructCommand& options) {
   if (!options.dry_run)
     staged.emplace(OutputFolder::staged(options.out, options.overwrite, std::move(apart)));
   const nn::Model model = nn::load_model(weights);
+  const std::optional<nn::Surface> network = nn::load_surface(weights);
   RunRecord record("reconstruct", config_json(options, weights), 0);
 
   Progress progress;
@@ -285,6 +291,7 @@ void run_reconstruct(const ReconstructCommand& options) {
   const auto start = std::chrono::steady_clock::now();
   reconstruct::ReconstructOptions how;
   how.surface = options.surface;
+  how.network = network ? &*network : nullptr;
   how.resolution = options.resolution;
   const bool with_mesh = options.mesh == MeshKind::tsdf;
   if (with_mesh) how.mesh = options.voxel;

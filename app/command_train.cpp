@@ -11,6 +11,7 @@
 #include "satsurf/nn/shipped_weights.h"
 #include "satsurf/scene/dataset.h"
 #include "satsurf/train/mono_trainer.h"
+#include "satsurf/train/surface_trainer.h"
 #include "satsurf/train/trainer.h"
 
 #include <cmath>
@@ -33,7 +34,7 @@ namespace {
 namespace fs = std::filesystem;
 
 struct TrainOptions {
-  std::variant<train::TrainConfig, train::MonoTrainConfig> config;
+  std::variant<train::TrainConfig, train::MonoTrainConfig, train::SurfaceTrainConfig> config;
   fs::path data, out, config_file;
   std::uint64_t seed = 0;
   bool overwrite = false, resume = false;
@@ -44,7 +45,7 @@ struct TrainOptions {
     v("data", s.data,
       Field{.help =
                 "data set: what simulate writes, DFC2019 Track 3, EOGS or Sat-NeRF; without one "
-                "scenes are made up while the training runs (--task surface)",
+                "scenes are made up while the training runs (not for --task mono)",
             .placeholder = "DIR"});
     v("out", s.out,
       Field{
@@ -108,6 +109,13 @@ std::vector<fs::path> prepare(train::TrainConfig& config, bool resume) {
 }
 std::vector<fs::path> prepare(train::MonoTrainConfig& config, bool) {
   return config.init.empty() ? std::vector<fs::path>() : std::vector<fs::path>{config.init};
+}
+std::vector<fs::path> prepare(train::SurfaceTrainConfig& config, bool) {
+  if (config.cascades.empty())
+    config.cascades = {nn::shipped_weights(nn::ShippedNetwork::cascade, "give --cascades FILE")};
+  std::vector<fs::path> files = config.cascades;
+  if (!config.init.empty()) files.push_back(config.init);
+  return files;
 }
 
 void run_train(const TrainOptions& options) {
@@ -177,7 +185,7 @@ void apply_preset(train::TrainConfig& config) {
 }
 
 /// As `read_config`; the fields of network and losses start from the preset.
-void read_surface(const Flags& flags, train::TrainConfig& config) {
+void read_cascade(const Flags& flags, train::TrainConfig& config) {
   const nlohmann::json file = flags.config();
   const std::string where = flags.config_file().string();
   if (file.is_object() && file.contains("preset")) {
@@ -216,38 +224,47 @@ void add_train(Program& program) {
       {"height_mae_running", "error of the heights over the last hundred steps, m"},
       {"correlation_running", "of --task mono instead: correlation of its heights with true ones"}};
   const auto options = std::make_shared<TrainOptions>();
-  const auto surface = std::make_shared<train::TrainConfig>();
+  const auto cascade = std::make_shared<train::TrainConfig>();
   const auto mono = std::make_shared<train::MonoTrainConfig>();
-  apply_preset(*surface);
-  const std::vector<Mode> modes{{"--task surface", collect_fields(*surface)},
-                                {"--task mono", collect_fields(*mono)}};
+  const auto surface = std::make_shared<train::SurfaceTrainConfig>();
+  apply_preset(*cascade);
+  const std::vector<Mode> modes{{"--task cascade", collect_fields(*cascade)},
+                                {"--task mono", collect_fields(*mono)},
+                                {"--task surface", collect_fields(*surface)}};
   Flags& flags = command.flags;
   flags.add(collect_fields(*options));
   flags.command().get_option("--overwrite")->excludes(flags.command().get_option("--resume"));
   flags.add_config();
   flags.add(modes[0].fields, "Configuration");
   flags.add(modes[1].fields, "--task mono");
-  program.when_called(command, [&flags, options, surface, mono, modes]() -> std::function<void()> {
-    flags.read(collect_fields(*options));
-    options->config_file = flags.config_file();
-    if (task_of(flags) == train::Task::mono) {
-      refuse_others(flags, modes, modes[1]);
-      read_config(flags, *mono);
-      options->config = *mono;
-    } else {
-      refuse_others(flags, modes, modes[0]);
-      read_surface(flags, *surface);
-      options->config = *surface;
-    }
-    if (flags.print_config())
-      return [options] {
-        std::visit([](const auto& config) { print_config(config); }, options->config);
-      };
-    if (std::holds_alternative<train::MonoTrainConfig>(options->config))
-      Flags::require("--data", options->data);
-    Flags::require("--out", options->out);
-    return [options] { run_train(*options); };
-  });
+  flags.add(modes[2].fields, "--task surface");
+  program.when_called(
+      command, [&flags, options, cascade, mono, surface, modes]() -> std::function<void()> {
+        flags.read(collect_fields(*options));
+        options->config_file = flags.config_file();
+        const train::Task task = task_of(flags);
+        if (task == train::Task::surface) {
+          refuse_others(flags, modes, modes[2]);
+          read_config(flags, *surface);
+          options->config = *surface;
+        } else if (task == train::Task::mono) {
+          refuse_others(flags, modes, modes[1]);
+          read_config(flags, *mono);
+          options->config = *mono;
+        } else {
+          refuse_others(flags, modes, modes[0]);
+          read_cascade(flags, *cascade);
+          options->config = *cascade;
+        }
+        if (flags.print_config())
+          return [options] {
+            std::visit([](const auto& config) { print_config(config); }, options->config);
+          };
+        if (std::holds_alternative<train::MonoTrainConfig>(options->config))
+          Flags::require("--data", options->data);
+        Flags::require("--out", options->out);
+        return [options] { run_train(*options); };
+      });
 }
 
 }  // namespace satsurf::app

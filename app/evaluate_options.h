@@ -81,7 +81,7 @@ struct EvaluateDataConfig {
   std::filesystem::path data, weights, lpips_weights;  ///< all but the first may be empty
   Index views = 3, window = 512;
   evaluate::Registration registration = evaluate::Registration::none;
-  reconstruct::Surface surface = reconstruct::Surface::splat;
+  reconstruct::Surface surface = reconstruct::Surface::automatic;
   bool mask_water = true, meshes = true;
 
   template <class Self, class V>

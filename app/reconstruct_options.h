@@ -25,8 +25,10 @@ namespace satsurf::app {
 /// `--surface` of a reconstruction and of those that `evaluate` scores.
 inline Field surface_field() {
   return {.help =
-              "how the images' heights become one surface: in each cell the densest mode, "
-              "weighed by what the images say of one another, or splatted from above"};
+              "how the images' heights become one surface: refined by a surface network, plain (in "
+              "each cell the densest mode, weighed by what the images say of one another) or "
+              "splatted from above; automatic refines if the weights have such a network, else "
+              "splats"};
 }
 
 /// What a surface depends on: a run's record repeats it, images included.
@@ -34,7 +36,7 @@ struct ReconstructConfig {
   std::vector<std::filesystem::path> images, image_dirs;
   std::filesystem::path weights;  ///< empty for the shipped ones
   OptionalPair height_range;      ///< m above the ellipsoid
-  reconstruct::Surface surface = reconstruct::Surface::splat;
+  reconstruct::Surface surface = reconstruct::Surface::automatic;
   double resolution = 0;  ///< m, 0 for the images' own
   MeshKind mesh = MeshKind::tsdf;
   double voxel = 0;  ///< of the mesh, m; 0 for two pixels on the ground
@@ -103,6 +105,9 @@ inline std::vector<WrittenFile> written_by_reconstruct() {
   return {{"dsm.tif", "heights above the WGS84 ellipsoid, m, Float32, UTM, nodata -9999"},
           {"confidence.tif",
            "confidence of the surface, 0 to 1, on the same grid, Float32, nodata -9999"},
+          {"height_sigma.tif",
+           "expected error of the heights (about two thirds are within it), m, on the same grid; "
+           "only of a refined surface"},
           {"surfels.ply",
            "the surface as Gaussian surfels in a local metric frame, which the header names"},
           {"mesh.ply", "the surface as triangles with colours, in the same frame; see --mesh"},

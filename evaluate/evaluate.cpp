@@ -42,6 +42,11 @@ void score_dsm(const reconstruct::Reconstruction& made, const scene::HeightField
                                                    score_heights(whole, truth.z, mask), c.shift};
     if (r == asked) out.dsm = c, out.causes = score_causes(whole, truth.z, mask, causes);
   }
+  if (!made.sigma.empty()) {
+    const scene::HeightField sigma{made.sigma, made.dsm.x0 + out.dsm.shift[0],
+                                   made.dsm.y0 + out.dsm.shift[1], made.dsm.step};
+    out.sigma = score_sigma(resample(sigma, truth), out.dsm.error);
+  }
   out.oracle = score_oracle(made.surfels.means.value(), out.dsm.shift, truth, mask);
   if (confidence != nullptr) {
     const scene::HeightField sure{made.confidence, made.dsm.x0 + out.dsm.shift[0],
@@ -73,6 +78,19 @@ Tensor scored_cells(const scene::Scene& scene, const std::vector<scene::View>& v
 }
 
 }  // namespace
+
+SigmaScore score_sigma(const Tensor& sigma, const Tensor& error) {
+  Dims("score_sigma").match("sigma", sigma, "H W").match("error", error, "H W");
+  double n = 0, one = 0, two = 0;
+  for (Index i = 0; i < error.count(); ++i) {
+    if (!std::isfinite(error[i]) || !std::isfinite(sigma[i])) continue;
+    n += 1;
+    one += std::abs(error[i]) <= sigma[i] ? 1 : 0;
+    two += std::abs(error[i]) <= 2 * sigma[i] ? 1 : 0;
+  }
+  if (n == 0) return {};
+  return {one / n, two / n};
+}
 
 Tensor not_water(const Tensor& classes) {
   Tensor mask = classes.clone();
@@ -172,6 +190,7 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
   reconstruct::ReconstructOptions how;
   how.resolution = scene.truth->step;
   how.surface = options.surface;
+  how.network = options.network;
   if (options.meshes) how.mesh = 0;
   how.progress = options.progress;
   const reconstruct::Reconstruction made = reconstruct::reconstruct(model, seen, how);

@@ -14,6 +14,7 @@
 #include <array>
 #include <filesystem>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
@@ -77,8 +78,9 @@ struct EvaluateOptions {
   /// network looks at as much of the sources, and as much of the target is rendered.
   Index window = 512;
   Registration registration = Registration::none;
-  reconstruct::Surface surface = reconstruct::Surface::splat;
-  bool mask_water = true;            ///< leave out cells of class 9
+  reconstruct::Surface surface = reconstruct::Surface::automatic;
+  const nn::Surface* network = nullptr;  ///< as in ReconstructOptions
+  bool mask_water = true;                ///< leave out cells of class 9
   bool meshes = true;                ///< also compare meshes, which takes a few seconds per scene
   const nn::Lpips* lpips = nullptr;  ///< scores rendered targets too, if given
   std::function<void(const std::string& stage, double fraction)> progress;  ///< may be empty
@@ -92,6 +94,16 @@ struct RegisteredScores {
   std::array<double, 3> shift{0, 0, 0};  ///< added to the prediction: east, north, up, m
 };
 
+/// How true the expected errors of a surface are: the shares of the compared cells whose error is
+/// within one and two of them, 68 and 95 % where they are right; NaN of a surface without any.
+struct SigmaScore {
+  double within_1 = std::numeric_limits<double>::quiet_NaN();
+  double within_2 = std::numeric_limits<double>::quiet_NaN();
+};
+/// sigma, error  [H W] m, NaN where unknown
+/// throws        ShapeError
+SigmaScore score_sigma(const Tensor& sigma, const Tensor& error);
+
 /// All numbers of one scene. What needs a target view is NaN without one, its counts 0. Of views
 /// only a window counts, see EvaluateOptions.
 struct SceneScores {
@@ -102,6 +114,7 @@ struct SceneScores {
   std::array<RegisteredScores, 3> registered;  ///< the same by each Registration: none, z, xyz
   /// Errors by cause: of the DSM registered as asked, its holes filled.
   CauseScores causes;
+  SigmaScore sigma;    ///< of the DSM registered as asked, not filled
   OracleScore oracle;  ///< the best choice among the surfels that make the DSM
   /// See `lost_by_stage`, in the window in which views are scored.
   std::array<double, 2> lost{CauseScore::kNone, CauseScore::kNone};

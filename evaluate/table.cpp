@@ -89,6 +89,8 @@ TableRow row_of(const SceneScores& s) {
   add_mesh(row, "mesh", s.mesh ? s.mesh->all : none_compared());
   add_mesh(row, "mesh_without_walls", s.mesh ? s.mesh->without_walls : none_compared());
   add_causes(row, s.causes);
+  row.push_back({"sigma_within_1", s.sigma.within_1});
+  row.push_back({"sigma_within_2", s.sigma.within_2});
   row.push_back({"oracle_share", s.oracle.share});
   row.push_back({"oracle_mae", s.oracle.mae});
   row.push_back({"lost_stage1", s.lost[0]});
@@ -140,6 +142,9 @@ const std::vector<std::pair<std::string, std::string>>& table_groups() {
       {"cause_open_ground", "cells of class 2 that are neither hidden nor in shadow nor at a rim"},
       {"cause_water", "cells of class 9, with --keep-water"},
       {"cause_other", "cells in none of the groups of causes before"},
+      {"sigma",
+       "the expected errors of a refined surface, against its errors after what --register takes "
+       "out"},
       {"oracle",
        "the height nearest to the truth of all surfels whose centre lies in a cell, for the share "
        "of cells that have one, then filled: no choice among surfels does better where they lie"},
@@ -175,6 +180,8 @@ std::vector<TableColumn> table_columns() {
       Number{
           "error_share", "share",
           "what they carry of the sum of all absolute errors; cells may belong to several groups"},
+      Number{"within_1", "share", "cells whose error is within the expected one: 0.68 is right"},
+      Number{"within_2", "share", "cells whose error is within twice that: 0.95 is right"},
       Number{"stage1", "share",
              "whose true height lies outside the window that the stage after the first covers"},
       Number{"stage2", "share", "the same of the last stage"},

@@ -11,7 +11,7 @@ namespace satsurf::nn {
 namespace fs = std::filesystem;
 
 fs::path shipped_weights(ShippedNetwork network, const std::string& hint, const fs::path& folder) {
-  const bool surface = network == ShippedNetwork::surface;
+  const bool surface = network == ShippedNetwork::cascade;
   if (const char* named = std::getenv("SATSURF_WEIGHTS");
       surface && named != nullptr && *named != '\0')
     return named;

@@ -13,7 +13,7 @@ namespace satsurf::nn {
 
 /// A trained network that comes with the library.
 enum class ShippedNetwork {
-  surface,  ///< `wide8.safetensors`, for `load_model`; SATSURF_WEIGHTS names another file
+  cascade,  ///< `wide8.safetensors`, for `load_model`; SATSURF_WEIGHTS names another file
   mono      ///< `mono12.safetensors`, for `load_mono`: the branch that training starts from
 };
 
@@ -25,7 +25,7 @@ enum class ShippedNetwork {
 ///   share/satsurf where the library was configured to be installed
 /// hint    for the error text: how to name a file
 /// throws  IoError naming the folders
-std::filesystem::path shipped_weights(ShippedNetwork network = ShippedNetwork::surface,
+std::filesystem::path shipped_weights(ShippedNetwork network = ShippedNetwork::cascade,
                                       const std::string& hint = "set SATSURF_WEIGHTS to a file",
                                       const std::filesystem::path& folder = SATSURF_WEIGHTS_FOLDER);
 

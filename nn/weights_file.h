@@ -4,9 +4,11 @@
 #include "satsurf/core/safetensors.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/nn/mono.h"
+#include "satsurf/nn/surface_net.h"
 
 #include <filesystem>
 #include <map>
+#include <optional>
 #include <string>
 
 namespace satsurf::nn {
@@ -41,6 +43,18 @@ Mono mono_from(const TensorFile& file, const std::string& where);
 /// That of a weights or checkpoint file.
 /// throws  IoError
 Mono load_mono(const std::filesystem::path& path);
+
+/// Before the names of a surface network's parameters in a file.
+constexpr const char* kSurfacePrefix = "surface.";
+/// Adds a surface network to a file that may hold more: tensors `surface.*`, metadata `format` and
+/// `surface` (its configuration).
+void store_surface(TensorFile& file, const Surface& network);
+/// The surface network in a file, if it has one; `where` begins the error texts.
+/// throws  IoError
+std::optional<Surface> surface_from(const TensorFile& file, const std::string& where);
+/// That of a weights or checkpoint file.
+/// throws  IoError
+std::optional<Surface> load_surface(const std::filesystem::path& path);
 
 /// Puts a trained monocular network into a model's branch.
 /// throws  IoError if the file holds none, or one of another configuration

@@ -57,4 +57,52 @@ CellMode densest_mode(std::vector<CellCandidate>& candidates, double b) {
   return {z / weight, confidence / all};
 }
 
+CellSummary summary_of(std::vector<CellCandidate>& candidates, double b) {
+  CellSummary out;
+  if (candidates.empty()) return out;
+  constexpr double kTail = 0.1;
+  std::sort(candidates.begin(), candidates.end(),
+            [](const CellCandidate& x, const CellCandidate& y) { return x.z < y.z; });
+  double z = 0, zz = 0;
+  const double origin = candidates[0].z;
+  for (const CellCandidate& c : candidates) {
+    out.weight += c.weight;
+    out.confidence += c.weight * c.confidence;
+    z += c.weight * (c.z - origin);
+    zz += c.weight * (c.z - origin) * (c.z - origin);
+  }
+  out.confidence /= out.weight;
+  z /= out.weight;
+  out.spread = std::sqrt(std::max(0.0, zz / out.weight - z * z));
+  const auto quantile = [&](auto first, auto last) {
+    double below = 0;
+    for (auto c = first; c != last; ++c)
+      if ((below += c->weight) >= kTail * out.weight) return c->z;
+    return (last - 1)->z;
+  };
+  out.low = quantile(candidates.begin(), candidates.end());
+  out.high = quantile(candidates.rbegin(), candidates.rend());
+
+  // The members of a mode, taken out of the list.
+  const auto take = [&](CellMode& mode, double& share) {
+    const double middle = candidates[densest(candidates, b)].z;
+    const auto first = std::partition_point(candidates.begin(), candidates.end(),
+                                            [&](const auto& c) { return c.z < middle - b; }),
+               last = std::partition_point(first, candidates.end(),
+                                           [&](const auto& c) { return c.z <= middle + b; });
+    double weight = 0, height = 0, confidence = 0;
+    for (auto c = first; c != last; ++c)
+      weight += c->weight, height += c->weight * c->z, confidence += c->weight * c->confidence;
+    mode = {height / weight, confidence / out.weight};
+    share = weight / out.weight;
+    candidates.erase(first, last);
+  };
+  take(out.mode, out.mode_share);
+  if (candidates.empty()) return out;
+  CellMode second;
+  take(second, out.second_share);
+  out.second = second.height;
+  return out;
+}
+
 }  // namespace satsurf::reconstruct

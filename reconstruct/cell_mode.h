@@ -26,4 +26,18 @@ struct CellMode {
 ///             by weight; NaN for no candidates
 CellMode densest_mode(std::vector<CellCandidate>& candidates, double b);
 
+/// A cell's heights in a few numbers; heights are NaN where there is none.
+struct CellSummary {
+  CellMode mode;
+  double second = std::numeric_limits<double>::quiet_NaN();  ///< mode of all but its members
+  double low = second, high = second;       ///< a tenth of the weight lies below, above, m
+  double mode_share = 0, second_share = 0;  ///< of the weight
+  double weight = 0, confidence = 0;        ///< sum; mean
+  double spread = 0;                        ///< deviation of the heights, m
+};
+
+/// Sums a cell up.
+/// candidates, b  as `densest_mode`
+CellSummary summary_of(std::vector<CellCandidate>& candidates, double b);
+
 }  // namespace satsurf::reconstruct

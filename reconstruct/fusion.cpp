@@ -4,14 +4,14 @@
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/hypotheses.h"
-#include "satsurf/reconstruct/cell_mode.h"
+#include "satsurf/reconstruct/cell_surfels.h"
 #include "satsurf/reconstruct/cross_check.h"
 
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <limits>
-#include <span>
+#include <vector>
 
 namespace satsurf::reconstruct {
 namespace {
@@ -30,115 +30,6 @@ double tolerance(const nn::NetworkInput& input, std::size_t i, std::size_t j) {
                                                input.z_range.middle());
   return std::clamp(1 / std::hypot(d[0][2], d[1][2]), kLeast, kMost);
 }
-
-/// Surfels on a grid: those of a cell lie together, and cells row by row.
-class Cells {
- public:
-  struct Surfel {
-    float x, y, z, weight, confidence;
-  };
-
-  Cells(const Tensor& means, const Tensor& confidence, const SurfelEvidence& evidence,
-        const FusionGrid& grid)
-      : grid_(grid), first_(static_cast<std::size_t>(grid.height * grid.width + 1), 0) {
-    const Index P = means.dim(0);
-    cell_.resize(static_cast<std::size_t>(P));
-    for_range(P, kGrain, [&](Index begin, Index end) {
-      for (Index k = begin; k < end; ++k)
-        cell_[static_cast<std::size_t>(k)] =
-            cell_of(static_cast<double>(means[3 * k]), static_cast<double>(means[3 * k + 1]));
-    });
-    for (const Index cell : cell_)
-      if (cell >= 0) ++first_[static_cast<std::size_t>(cell) + 1];
-    for (std::size_t c = 1; c < first_.size(); ++c) first_[c] += first_[c - 1];
-    std::vector<Index> next(first_.begin(), first_.end() - 1);
-    surfels_.resize(static_cast<std::size_t>(first_.back()));
-    place_.assign(static_cast<std::size_t>(P), -1);
-    for (Index k = 0; k < P; ++k) {
-      const Index cell = cell_[static_cast<std::size_t>(k)];
-      if (cell < 0) continue;
-      const Index at = next[static_cast<std::size_t>(cell)]++;
-      place_[static_cast<std::size_t>(k)] = at;
-      surfels_[static_cast<std::size_t>(at)] = {means[3 * k], means[3 * k + 1], means[3 * k + 2],
-                                                evidence.weight[k], confidence[k]};
-    }
-  }
-
-  /// Cell of a place, -1 outside the grid.
-  Index cell_of(double x, double y) const {
-    const double column = (x - grid_.east) / grid_.step, row = (grid_.north - y) / grid_.step;
-    if (!(row >= 0 && column >= 0 && row < static_cast<double>(grid_.height) &&
-          column < static_cast<double>(grid_.width)))
-      return -1;
-    return static_cast<Index>(row) * grid_.width + static_cast<Index>(column);
-  }
-  Index cell(Index k) const { return cell_[static_cast<std::size_t>(k)]; }
-  /// The surfels of cells (row, from) to (row, to), both included.
-  std::span<const Surfel> in_row(Index row, Index from, Index to) const {
-    const Index a = first_[static_cast<std::size_t>(row * grid_.width + from)],
-                b = first_[static_cast<std::size_t>(row * grid_.width + to + 1)];
-    return {surfels_.data() + a, static_cast<std::size_t>(b - a)};
-  }
-  /// Takes a surfel's weight.
-  void drop(Index k) {
-    surfels_[static_cast<std::size_t>(place_[static_cast<std::size_t>(k)])].weight = 0;
-  }
-
- private:
-  const FusionGrid& grid_;
-  std::vector<Index> first_, cell_, place_;
-  std::vector<Surfel> surfels_;
-};
-
-/// Half width of the kernel over heights, m: finer would split the noise of one surface.
-double bandwidth(const FusionGrid& grid) { return std::clamp(grid.interval, 0.3, 2.0); }
-
-/// Fuses cells one by one.
-class CellFusion {
- public:
-  CellFusion(const Cells& cells, const FusionGrid& grid)
-      : cells_(cells),
-        grid_(grid),
-        side_(1.5 * grid.footprint),
-        most_(std::min(side_, grid.step)),
-        half_(0.5 * (side_ + grid.step)),
-        reach_(std::max<Index>(1, static_cast<Index>(std::ceil(half_ / grid.step - 0.5)))) {}
-
-  /// Cells on each side whose surfels may reach a cell.
-  Index reach() const { return reach_; }
-
-  /// Height and confidence of one cell.
-  /// candidates  room to work in
-  CellMode operator()(Index row, Index column, std::vector<CellCandidate>& candidates) const {
-    candidates.clear();
-    const double x = grid_.east + (static_cast<double>(column) + 0.5) * grid_.step,
-                 y = grid_.north - (static_cast<double>(row) + 0.5) * grid_.step;
-    const Index from = std::max<Index>(0, column - reach_),
-                to = std::min(grid_.width - 1, column + reach_);
-    for (Index r = std::max<Index>(0, row - reach_); r <= std::min(grid_.height - 1, row + reach_);
-         ++r)
-      for (const Cells::Surfel& s : cells_.in_row(r, from, to)) {
-        const double weight = static_cast<double>(s.weight) *
-                              overlap(static_cast<double>(s.x) - x) *
-                              overlap(static_cast<double>(s.y) - y);
-        if (weight > 0)
-          candidates.push_back(
-              {static_cast<double>(s.z), weight, static_cast<double>(s.confidence)});
-      }
-    return densest_mode(candidates, bandwidth(grid_));
-  }
-
- private:
-  /// Length of a cell's side that a surfel's square covers, from the distance of their centres.
-  double overlap(double distance) const {
-    return std::max(0.0, std::min(half_ - std::abs(distance), most_));
-  }
-
-  const Cells& cells_;
-  const FusionGrid& grid_;
-  double side_, most_, half_;
-  Index reach_;
-};
 
 /// Largest (or smallest) known height of each cell and its eight neighbours; NaN where none is.
 Tensor extreme_of_neighbours(const Tensor& heights, bool largest) {
@@ -179,7 +70,7 @@ class Sieve {
   }
 
   /// Whether a surfel of a cell is near the surface and seen along its ray.
-  bool passes(const Cells& cells, Index cell, const float* mean, const float* ray) const {
+  bool passes(const SurfelCells& cells, Index cell, const float* mean, const float* ray) const {
     const double z = static_cast<double>(mean[2]);
     if (z > static_cast<double>(high_[cell]) + slack_ ||
         z < static_cast<double>(low_[cell]) - slack_)
@@ -276,15 +167,17 @@ FusedSurface fuse_surfels(const Tensor& means, const Tensor& confidence,
   dim.match("means", means, "P 3").match("confidence", confidence, "P");
   dim.match("weight", evidence.weight, "P").match("rays", evidence.rays, "P 2");
   const Index P = dim["P"], H = grid.height, W = grid.width;
-  Cells cells(means, confidence, evidence, grid);
-  const CellFusion fuse(cells, grid);
+  SurfelCells cells(means, confidence, evidence, grid);
+  const CellReach gather(cells, grid);
+  const double bandwidth = gather.bandwidth();
   FusedSurface out{Tensor({H, W}, kNan), Tensor({H, W}, kNan), {}};
   const auto fuse_where = [&](const auto& wanted) {
     for_each_index(H, [&](Index i) {
       std::vector<CellCandidate> candidates;
       for (Index j = 0; j < W; ++j) {
         if (!wanted(i * W + j)) continue;
-        const CellMode mode = fuse(i, j, candidates);
+        gather(i, j, candidates);
+        const CellMode mode = densest_mode(candidates, bandwidth);
         out.heights[i * W + j] = static_cast<float>(mode.height);
         out.confidence[i * W + j] = static_cast<float>(mode.confidence);
       }
@@ -292,7 +185,7 @@ FusedSurface fuse_surfels(const Tensor& means, const Tensor& confidence,
   };
   fuse_where([](Index) { return true; });
 
-  const Sieve sieve(out.heights, grid, bandwidth(grid));
+  const Sieve sieve(out.heights, grid, bandwidth);
   std::vector<char> passed(static_cast<std::size_t>(P), 1);
   for_range(P, kGrain, [&](Index begin, Index end) {
     for (Index k = begin; k < end; ++k)
@@ -309,7 +202,7 @@ FusedSurface fuse_surfels(const Tensor& means, const Tensor& confidence,
     cells.drop(k);
     changed[static_cast<std::size_t>(cells.cell(k))] = 1;
   }
-  const std::vector<char> again = reached(changed, grid, fuse.reach());
+  const std::vector<char> again = reached(changed, grid, gather.cells());
   fuse_where([&](Index cell) { return again[static_cast<std::size_t>(cell)] != 0; });
   return out;
 }

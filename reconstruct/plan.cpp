@@ -95,13 +95,14 @@ struct Memory {
 /// made, or while a mesh is made of it.
 Memory plan_memory(const ReconstructPlan& plan, const nn::ModelConfig& model,
                    const scene::Scene& scene, Surface surface) {
-  constexpr double kProgram = 150e6;           // code, libraries and weights
-  constexpr double kKept = 1.2;                // tensors, with freed ones that wait for reuse
-  constexpr double kView = 4, kSurfel = 14;    // floats a pixel, floats a surfel
-  constexpr double kSplat = 24, kMaps = 19;    // floats a surfel, floats a cell, to render
-  constexpr double kLists = 21;                // floats a surfel, beside the tensors
-  constexpr double kFuse = 18, kFused = 5;     // floats a surfel, floats a cell, to fuse
-  constexpr double kHeights = 9, kMesh = 110;  // floats a pixel, floats a column of voxels
+  constexpr double kProgram = 150e6;              // code, libraries and weights
+  constexpr double kKept = 1.2;                   // tensors, with freed ones that wait for reuse
+  constexpr double kView = 4, kSurfel = 14;       // floats a pixel, floats a surfel
+  constexpr double kSplat = 24, kMaps = 19;       // floats a surfel, floats a cell, to render
+  constexpr double kLists = 21;                   // floats a surfel, beside the tensors
+  constexpr double kFuse = 18, kFused = 5;        // floats a surfel, floats a cell, to fuse
+  constexpr double kRefine = 18, kRefined = 150;  // alike, to refine
+  constexpr double kHeights = 9, kMesh = 110;     // floats a pixel, floats a column of voxels
   const Index views = static_cast<Index>(scene.views.size());
   const double window = static_cast<double>(plan.window) * static_cast<double>(plan.window) *
                         static_cast<double>(views);
@@ -112,9 +113,10 @@ Memory plan_memory(const ReconstructPlan& plan, const nn::ModelConfig& model,
   const double network =
       nn::forward_bytes(model, views, plan.window, plan.window) +
       sizeof(float) * (kView * window + kSurfel * (pixels - std::min(pixels, window)));
-  const bool splat = surface == Surface::splat;
   const double render =
-      sizeof(float) * ((splat ? kSplat : kFuse) * pixels + (splat ? kMaps : kFused) * cells);
+      sizeof(float) * (surface == Surface::splat     ? kSplat * pixels + kMaps * cells
+                       : surface == Surface::refined ? kRefine * pixels + kRefined * cells
+                                                     : kFuse * pixels + kFused * cells);
   parts.push_back({"surface", render});
   const double columns =
                    plan.voxel > 0 ? cells * plan.step * plan.step / (plan.voxel * plan.voxel) : 0,
@@ -125,6 +127,14 @@ Memory plan_memory(const ReconstructPlan& plan, const nn::ModelConfig& model,
 }
 
 }  // namespace
+
+Surface surface_kind(const ReconstructOptions& options) {
+  if (options.surface == Surface::automatic)
+    return options.network != nullptr ? Surface::refined : Surface::splat;
+  if (options.surface == Surface::refined && options.network == nullptr)
+    throw ConfigError("surface is refined, expected weights with a surface network");
+  return options.surface;
+}
 
 ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,
                                     const ReconstructOptions& options) {
@@ -162,7 +172,7 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   plan.north = std::ceil((ground.y1 + scene.frame.northing0) / step) * step - scene.frame.northing0;
   plan.width = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - plan.east) / step)));
   plan.height = std::max<Index>(1, static_cast<Index>(std::ceil((plan.north - ground.y0) / step)));
-  Memory memory = plan_memory(plan, model, scene, options.surface);
+  Memory memory = plan_memory(plan, model, scene, surface_kind(options));
   plan.memory_bytes = memory.bytes;
   plan.memory = std::move(memory.parts);
   return plan;

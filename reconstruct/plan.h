@@ -3,6 +3,7 @@
 
 #include "satsurf/core/fields.h"
 #include "satsurf/nn/forward_memory.h"
+#include "satsurf/nn/surface_net.h"
 #include "satsurf/scene/scene.h"
 
 #include <array>
@@ -15,22 +16,25 @@ namespace satsurf::reconstruct {
 
 /// How the surfels of all views become one surface.
 enum class Surface {
-  plain,  ///< by what the views say of one another's surfels, the densest mode in each cell
-  splat   ///< rendered from straight above
+  automatic,  ///< refined with a surface network, else splat
+  refined,    ///< by the surface network
+  plain,      ///< by what the views say of one another's surfels, the densest mode in each cell
+  splat       ///< rendered from straight above
 };
 
 }  // namespace satsurf::reconstruct
 
 template <>
 struct satsurf::EnumNames<satsurf::reconstruct::Surface> {
-  static constexpr std::array names{"plain", "splat"};
+  static constexpr std::array names{"automatic", "refined", "plain", "splat"};
 };
 
 namespace satsurf::reconstruct {
 
 /// How a surface is made.
 struct ReconstructOptions {
-  Surface surface = Surface::splat;
+  Surface surface = Surface::automatic;
+  const nn::Surface* network = nullptr;  ///< that refines; none for the other kinds
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;
@@ -40,6 +44,10 @@ struct ReconstructOptions {
   /// cancel it throws: its own exception leaves `reconstruct` as it is, and nothing is kept.
   std::function<void(const std::string& stage, double fraction)> progress;
 };
+
+/// The kind that options come to.
+/// throws  ConfigError for `refined` without a network
+Surface surface_kind(const ReconstructOptions& options);
 
 /// A rectangle of ground, local m.
 struct Ground {

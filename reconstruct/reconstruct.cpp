@@ -5,7 +5,9 @@
 #include "satsurf/core/memory.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
+#include "satsurf/reconstruct/cast.h"
 #include "satsurf/reconstruct/fusion.h"
+#include "satsurf/reconstruct/surface_input.h"
 #include "satsurf/reconstruct/trust.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/splat/select.h"
@@ -142,23 +144,24 @@ void keep_surface(Reconstruction& out, FusedSurface surface, const scene::Scene&
   out.completeness = expected > 0 ? static_cast<double>(found) / static_cast<double>(expected) : 0;
 }
 
-}  // namespace
+/// The surfels of all tiles, and what fusing them needs.
+struct Gathered {
+  splat::Surfels surfels;
+  Tensor confidence;  ///< [P]
+  Evidence evidence;  ///< empty for a splatted surface
+};
 
-Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
-                           const ReconstructOptions& options) {
-  const NoGrad no_grad;
-  const auto report = [&](const std::string& stage, double fraction) {
-    if (options.progress) options.progress(stage, fraction);
-  };
-  const ReconstructPlan plan = plan_reconstruction(model.config(), scene, options);
-  check_memory(plan, scene);
-
-  Reconstruction out;
+/// Runs the network over the tiles.
+/// out  takes what is known of the images and the work
+Gathered gather(const nn::Model& model, const scene::Scene& scene, const ReconstructPlan& plan,
+                const ReconstructOptions& options, Reconstruction& out) {
   std::vector<splat::Surfels> parts;
-  Evidence evidence;
+  Gathered all;
   for (std::size_t t = 0; t < plan.tiles.size(); ++t) {
     const auto poll = [&] {
-      report("network", static_cast<double>(t) / static_cast<double>(plan.tiles.size()));
+      if (options.progress)
+        options.progress("network",
+                         static_cast<double>(t) / static_cast<double>(plan.tiles.size()));
     };
     poll();
     const scene::Crop crop = window_of(scene, plan, plan.tiles[t]);
@@ -172,34 +175,90 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
     const std::vector<Index> keep =
         trusted_surfels(crop.input, surfels.means.value(), stages[2].height.value(), tile);
     parts.push_back(splat::selected(surfels, keep));
-    if (options.surface == Surface::plain) evidence.add(crop.input, stages[2], keep);
+    if (surface_kind(options) != Surface::splat) all.evidence.add(crop.input, stages[2], keep);
     if (t + 1 == plan.tiles.size()) out.images = whole_images(scene, plan, crop);
   }
-
   out.frame = scene.frame;
   out.tiles = static_cast<Index>(plan.tiles.size());
   out.voxel = plan.voxel;
   out.planned_memory_bytes = plan.memory_bytes;
   out.planned_memory = plan.memory;
-  out.surfels = splat::joined(parts);
-  report("surface", 0);
+  all.surfels = splat::joined(parts);
+  all.confidence = first_channel(all.surfels.aux.value(), {all.surfels.means.value().dim(0)});
+  return all;
+}
+
+nn::SurfaceInput input_of(const Gathered& all, const ReconstructPlan& plan,
+                          const Reconstruction& made) {
+  return surface_input(all.surfels.means.value(), all.confidence, all.evidence.all(),
+                       all.evidence.grid(plan), made.images);
+}
+
+/// The surface as the network makes it. Its confidence is that of the surfels times the share of
+/// them that agree, 0 in the holes that the network filled.
+FusedSurface refined(const nn::Surface& network, const nn::SurfaceInput& input, Tensor& sigma) {
+  nn::RefinedSurface made = nn::refined(network, input);
+  FusedSurface out{std::move(made.heights), Tensor::uninitialised(made.sigma.shape()), {}};
+  sigma = std::move(made.sigma);
+  const Index P = sigma.count();
+  const auto plane = [&](nn::SurfacePlane p) {
+    return input.planes.data() + static_cast<Index>(p) * P;
+  };
+  const float *sure = plane(nn::SurfacePlane::confidence),
+              *share = plane(nn::SurfacePlane::mode_share);
+  for (Index i = 0; i < P; ++i)
+    out.confidence[i] = std::isfinite(out.heights[i]) ? sure[i] * share[i] : std::nanf("");
+  return out;
+}
+
+}  // namespace
+
+Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
+                           const ReconstructOptions& options) {
+  const NoGrad no_grad;
+  const ReconstructPlan plan = plan_reconstruction(model.config(), scene, options);
+  check_memory(plan, scene);
+  Reconstruction out;
+  Gathered all = gather(model, scene, plan, options, out);
+  const auto report = [&](double fraction) {
+    if (options.progress) options.progress("surface", fraction);
+  };
+  report(0);
   const double before = static_cast<double>(tensor_bytes());
   const std::size_t earlier = peak_tensor_bytes();
   reset_peak_tensor_bytes();
   FusedSurface surface;
-  if (options.surface == Surface::plain) {
-    const Tensor& means = out.surfels.means.value();
-    const Tensor sure = first_channel(out.surfels.aux.value(), {means.dim(0)});
-    surface = fuse_surfels(means, sure, evidence.all(), evidence.grid(plan));
-    out.surfels = splat::selected(out.surfels, surface.kept);
-  } else {
-    surface = splatted(out.surfels, plan);
+  switch (surface_kind(options)) {
+    case Surface::refined:
+      surface = refined(*options.network, input_of(all, plan, out), out.sigma);
+      break;
+    case Surface::plain:
+      surface = fuse_surfels(all.surfels.means.value(), all.confidence, all.evidence.all(),
+                             all.evidence.grid(plan));
+      all.surfels = splat::selected(all.surfels, surface.kept);
+      break;
+    default:
+      surface = splatted(all.surfels, plan);
   }
+  out.surfels = std::move(all.surfels);
   out.memory.push_back({"surface", static_cast<double>(peak_tensor_bytes()) - before});
   raise_peak_tensor_bytes(earlier);
-  report("surface", 1);
+  report(1);
   keep_surface(out, std::move(surface), scene, plan);
+  if (!out.sigma.empty()) out.surfels = cast_on(out.surfels, all.evidence.all().rays, out.dsm);
   return out;
+}
+
+UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& scene,
+                                   const ReconstructOptions& options) {
+  const NoGrad no_grad;
+  ReconstructOptions how = options;
+  how.surface = Surface::plain;
+  const ReconstructPlan plan = plan_reconstruction(model.config(), scene, how);
+  check_memory(plan, scene);
+  Reconstruction made;
+  const Gathered all = gather(model, scene, plan, how, made);
+  return {input_of(all, plan, made), plan.east, plan.north, plan.step};
 }
 
 }  // namespace satsurf::reconstruct

@@ -14,6 +14,7 @@ struct Reconstruction {
   rpc::LocalFrame frame;   ///< the scene's: UTM zone and origin
   scene::HeightField dsm;  ///< local z in m, NaN where nothing was seen
   Tensor confidence;       ///< [H W] in [0, 1], NaN like the DSM
+  Tensor sigma;            ///< [H W] m, NaN alike; only of a refined surface, else empty
   splat::Surfels surfels;  ///< in the local frame
   /// The scene's images, whole, each with the one camera that was fitted to it.
   std::vector<nn::PosedImage> images;
@@ -34,5 +35,15 @@ struct Reconstruction {
 ///         what `options.progress` throws
 Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
                            const ReconstructOptions& options);
+
+/// What a surface network is given for a scene, and where.
+struct UnrefinedSurface {
+  nn::SurfaceInput input;
+  double x0 = 0, y0 = 0, step = 0;  ///< of its grid, as HeightField
+};
+/// A reconstruction up to where the surface network begins: what that one is trained with.
+/// throws  as `reconstruct`
+UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& scene,
+                                   const ReconstructOptions& options);
 
 }  // namespace satsurf::reconstruct

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Reads every #include line and refuses arrows against the order
-#   core -> ops -> {rpc, splat} -> {nn, mesh} -> scene -> {reconstruct, train} -> evaluate -> app
+#   core -> ops -> {rpc, splat} -> {nn, mesh} -> scene -> reconstruct -> train -> evaluate -> app
 #   cmake -DSOURCE=... -P layers.cmake
 set(may_core core)
 set(may_ops ${may_core} ops)
@@ -10,8 +10,8 @@ set(may_nn ${may_ops} rpc splat nn)
 set(may_mesh ${may_ops} rpc splat mesh)
 set(may_scene ${may_nn} mesh scene)
 set(may_reconstruct ${may_scene} reconstruct)
-set(may_train ${may_scene} train)
-set(may_evaluate ${may_scene} reconstruct train evaluate)
+set(may_train ${may_reconstruct} train)
+set(may_evaluate ${may_train} evaluate)
 set(may_app ${may_evaluate} app)
 set(may_bench ${may_reconstruct} bench)  # what lies above nn only in a build that has it
 set(readers rpc/gdal.h rpc/read.cpp rpc/read_info.cpp rpc/read_rpc.cpp rpc/raster.cpp)  # the only ones that know GDAL

@@ -64,7 +64,7 @@ StepLoss mono_loss(const MonoTrainConfig& config, const nn::Mono& mono, const Mo
 double mono_correlation(const Tensor& height, const Tensor& truth, const Tensor& valid);
 
 /// Trains the monocular network on the views of a folder's scenes; arguments as those of the
-/// surface network's `train`. Terms of a step: `ssi`, `gradient`, `correlation`.
+/// cascade's `train`. Terms of a step: `ssi`, `gradient`, `correlation`.
 /// throws  IoError, ConfigError
 nn::Mono train(const MonoTrainConfig& config, const std::filesystem::path& data, std::uint64_t seed,
                const std::filesystem::path& checkpoint, const TrainingCallbacks& callbacks);

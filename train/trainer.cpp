@@ -6,6 +6,7 @@
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/train/augment.h"
 #include "satsurf/train/loss.h"
+#include "satsurf/train/sample_batch.h"
 
 #include <algorithm>
 #include <cmath>
@@ -18,15 +19,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// The surface network and its objective.
-class SurfaceTask : public TrainingTask {
+/// The cascade and its objective.
+class CascadeTask : public TrainingTask {
  public:
-  SurfaceTask(nn::Model& model, const TrainConfig& config, const SampleSource& sample,
+  CascadeTask(nn::Model& model, const TrainConfig& config, const SampleSource& sample,
               std::uint64_t seed)
       : model_(model), config_(config), sample_(sample), seed_(seed) {
     if (!config.lpips_weights.empty()) lpips_ = nn::Lpips::load(config.lpips_weights);
-    if (config.batch > 1)
-      for (Index b = 0; b < config.batch; ++b) copies_.emplace_back(model.config(), seed);
+    if (config.batch > 1) batch_.emplace(model, config.batch, seed);
   }
 
   nn::ParameterSet<float>& parameters() override { return model_.parameters(); }
@@ -35,22 +35,10 @@ class SurfaceTask : public TrainingTask {
   Index batch() const override { return config_.batch; }
   StepLoss loss(Index sample) const override { return loss(model_, sample); }
 
-  /// Every sample on one thread with a copy of the network; their gradients are added in order, so
-  /// that they do not depend on who was first.
   StepLoss descend(Index step) override {
-    if (config_.batch == 1) return TrainingTask::descend(step);
-    std::vector<StepLoss> losses(copies_.size());
-    for_each_index(config_.batch, [&](Index b) {
-      const OnOneThread alone;
-      nn::Model& copy = copies_[static_cast<std::size_t>(b)];
-      take_values(copy.parameters());
-      copy.parameters().clear_grads();
-      StepLoss loss = this->loss(copy, step * config_.batch + b);
-      if (std::isfinite(loss.total.value().item())) loss.total.backward();
-      losses[static_cast<std::size_t>(b)] = {Var(loss.total.value()), std::move(loss.terms)};
-    });
-    add_gradients();
-    return mean_of(losses);
+    if (!batch_) return TrainingTask::descend(step);
+    return batch_->descend(
+        step, [this](const nn::Model& model, Index sample) { return loss(model, sample); });
   }
 
  private:
@@ -66,49 +54,12 @@ class SurfaceTask : public TrainingTask {
              {"confident", loss.confident}}};
   }
 
-  void take_values(nn::ParameterSet<float>& copy) const {
-    for (std::size_t i = 0; i < copy.entries().size(); ++i) {
-      Var to = copy.entries()[i].var;
-      std::ranges::copy(model_.parameters().entries()[i].var.value().values(),
-                        to.mutable_value().values().begin());
-    }
-  }
-
-  /// The mean of the copies' gradients; none where no sample has any.
-  void add_gradients() {
-    const auto share = 1.f / static_cast<float>(config_.batch);
-    for (std::size_t i = 0; i < model_.parameters().entries().size(); ++i) {
-      Var to = model_.parameters().entries()[i].var;
-      for (nn::Model& copy : copies_) {
-        const Tensor& grad = copy.parameters().entries()[i].var.grad();
-        if (grad.empty()) continue;
-        if (to.grad().empty()) to.mutable_grad() = Tensor(to.shape());
-        for (Index k = 0; k < grad.count(); ++k) to.mutable_grad()[k] += share * grad[k];
-      }
-    }
-  }
-
-  /// Terms that some samples do not know are means over the others.
-  static StepLoss mean_of(const std::vector<StepLoss>& losses) {
-    double total = 0;
-    StepLoss out{{}, losses[0].terms};
-    for (std::size_t t = 0; t < out.terms.size(); ++t) {
-      double sum = 0, count = 0;
-      for (const StepLoss& loss : losses)
-        if (const double value = loss.terms[t].second; std::isfinite(value)) sum += value, ++count;
-      out.terms[t].second = count > 0 ? sum / count : std::nan("");
-    }
-    for (const StepLoss& loss : losses) total += static_cast<double>(loss.total.value().item());
-    out.total = Var(Tensor::scalar(static_cast<float>(total / static_cast<double>(losses.size()))));
-    return out;
-  }
-
   nn::Model& model_;
   const TrainConfig& config_;
   const SampleSource& sample_;
   std::uint64_t seed_;
   std::optional<nn::Lpips> lpips_;
-  std::vector<nn::Model> copies_;
+  std::optional<SampleBatch<nn::Model>> batch_;
 };
 
 /// A random one of the scenes that a sample may be cut from.
@@ -201,7 +152,7 @@ scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::
 scene::Crop training_sample(const TrainConfig& config, SceneStream& scenes, std::uint64_t seed,
                             Index sample) {
   const auto draw = [&](Rng& rng) {
-    return scenes.scene(scenes.first(sample) + rng.below(scenes.pool()));
+    return scenes.item(scenes.first(sample) + rng.below(scenes.pool()));
   };
   return cut_sample(config, draw, seed, sample);
 }
@@ -232,15 +183,15 @@ void train_on_samples(nn::Model& model, const TrainConfig& config, const SampleS
   check_fields(config, "train_on_samples");
   TrainConfig recorded = config;
   recorded.model = model.config();
-  SurfaceTask task(model, config, sample, run.seed);
+  CascadeTask task(model, config, sample, run.seed);
   run_training(task, config, to_json(recorded).dump(), run, callbacks);
 }
 
 nn::Model train(const TrainConfig& config, const fs::path& data, std::uint64_t seed,
                 const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
   check_fields(config, "train");
-  if (config.task != Task::surface)
-    throw ConfigError("train: task is " + enum_name(config.task) + ", expected surface");
+  if (config.task != Task::cascade)
+    throw ConfigError("train: task is " + enum_name(config.task) + ", expected cascade");
   const Index multiple = nn::size_multiple(config.model);
   if (config.crop % multiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +

@@ -14,7 +14,7 @@
 
 namespace satsurf::train {
 
-/// Everything the training of the surface network depends on besides data and seed.
+/// Everything the training of the cascade depends on besides data and seed.
 struct TrainConfig : TrainingSettings, LossConfig {
   std::string preset = "base8";  ///< starting point of `model` and of the losses
   nn::ModelConfig model;

@@ -17,14 +17,18 @@
 
 namespace satsurf::train {
 
-/// Which network is trained: the one that makes surfaces, or the monocular one.
-enum class Task { surface, mono };
+/// Which network is trained.
+enum class Task {
+  cascade,  ///< the one that makes heights and surfels of two or more images
+  mono,     ///< the one that sees relative heights in a single image
+  surface   ///< the one that makes one surface of what the cascade found in all images
+};
 
 }  // namespace satsurf::train
 
 template <>
 struct satsurf::EnumNames<satsurf::train::Task> {
-  static constexpr std::array names{"surface", "mono"};
+  static constexpr std::array names{"cascade", "mono", "surface"};
 };
 
 namespace satsurf::train {
@@ -46,7 +50,7 @@ namespace satsurf::train {
 
 /// What every training run has, whatever network it trains.
 struct TrainingSettings {
-  Task task = Task::surface;
+  Task task = Task::cascade;
   std::filesystem::path
       init;  ///< weights to start from, of all or parts of the network; empty for none
   Index steps = 4000;
@@ -65,8 +69,9 @@ struct TrainingSettings {
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
     v("task", s.task,
-      Field{.help = "network to train: the one that makes surfaces of two or more images, or the "
-                    "one that sees relative heights in a single image"});
+      Field{.help = "network to train: the one that makes heights and surfels of two or more "
+                    "images, the one that sees relative heights in a single image, or the one "
+                    "that makes one surface of what the first found in all images"});
     v("init", s.init,
       Field{.help = "weights to start from instead of random ones; parts of the network that "
                     "the file lacks start as without it"});

@@ -369,7 +369,7 @@ refuses "unknown preset" 2 "huge.*base8" "$satsurf" train --data data --out no -
 refuses "crop that does not fit" 2 "crop" "$satsurf" train --data data --out no --preset tiny --crop 33
 refuses "unknown task" 2 "task.*mini.*surface, mono" "$satsurf" train --data data --out no --task mini
 refuses "a flag of another task" 2 "task mono: --views" "$satsurf" train --data data --out no --task mono --views 3
-refuses "a flag of the other task" 2 "task surface: --least_relief" "$satsurf" train --data data --out no --least_relief 3
+refuses "a flag of the other task" 2 "task cascade: --least_relief" "$satsurf" train --data data --out no --least_relief 3
 refuses "crop that does not fit mono" 2 "crop is 48, expected a multiple of 32" "$satsurf" train --data data --out no --task mono --crop 48
 refuses "heights the wrong way round" 2 "height.range" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 50 10
 refuses "unknown registration" 2 "register is .xy., expected one of none, z, xyz" "$satsurf" evaluate --dsm $truth --truth $truth --register xy

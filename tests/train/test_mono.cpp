@@ -245,13 +245,13 @@ TEST_CASE("monocular training refuses what it cannot do") {
   };
   MonoTrainConfig odd = tiny(1), other = tiny(1), none = tiny(1);
   odd.crop = 48;
-  other.task = Task::surface;
+  other.task = Task::cascade;
   none.batch = 0;
   CHECK(refusal(odd) == "train: crop is 48, expected a multiple of 32");
-  CHECK(refusal(other) == "train: task is surface, expected mono");
+  CHECK(refusal(other) == "train: task is cascade, expected mono");
   CHECK(refusal(none).starts_with("train: batch"));
   TrainConfig surface = TrainConfig();
   surface.task = Task::mono;
   CHECK_THROWS_WITH_AS(train_in_folder(surface, data(), folder / "no", 4),
-                       "train: task is mono, expected surface", ConfigError);
+                       "train: task is mono, expected cascade", ConfigError);
 }

@@ -183,12 +183,12 @@ TEST_CASE("without a data set scenes are made up on the way, the same after an i
   SceneStream scenes(c.simulate, 5, 2, 3);
   CHECK(scenes.first(0) == 0);
   CHECK(scenes.first(5) == 2);
-  const auto third = scenes.scene(2);
-  CHECK(scenes.scene(2) == third);
+  const auto third = scenes.item(2);
+  CHECK(scenes.item(2) == third);
   CHECK(third->views.size() == 4);
   REQUIRE(third->truth.has_value());
-  scenes.scene(20);  // far behind now
-  const auto again = scenes.scene(2);
+  scenes.item(20);  // far behind now
+  const auto again = scenes.item(2);
   CHECK(again != third);
   CHECK(std::ranges::equal(again->views[0].rgb.values(), third->views[0].rgb.values()));
   c.simulate.views = 3;

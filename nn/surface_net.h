@@ -1,0 +1,132 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/fields.h"
+#include "satsurf/nn/blocks.h"
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+namespace satsurf::nn {
+
+/// The heights that the surface network chooses among, in the order in which it is given them.
+enum class SurfaceCandidate : Index {
+  mode,    ///< the densest mode of the surfels of a cell
+  second,  ///< the densest of those that are no members of it; often none
+  low,     ///< the tenth of them lie below
+  high,    ///< the tenth of them lie above
+  around,  ///< the median of the modes nearby, smooth; there is one in holes, too
+  ground,  ///< the level of the ground
+};
+inline constexpr Index kSurfaceCandidates = 6;
+
+/// What else is known of every cell: where each kind of plane begins. Unitless and of order 1, and
+/// the same whichever way the grid is turned.
+enum class SurfacePlane : Index {
+  disagreement = 0,                     ///< K: of the images where they show each candidate
+  best_pair = kSurfaceCandidates,       ///< K: of the two of them that agree best
+  mode_share = 2 * kSurfaceCandidates,  ///< of the surfels' weight, what the mode's members have
+  second_share,                         ///< and the second's
+  weight,                               ///< log(1 + weight of all surfels)
+  confidence,                           ///< their mean
+  spread,                               ///< of their heights
+  views,                                ///< images that show the mode, a quarter of their number
+  red,                                  ///< mean colours there, standardised
+  green,
+  blue,
+  darkest,  ///< of the images there
+  range,    ///< between the darkest and the brightest of them
+  cell,     ///< logarithm of the cell's size in pixels
+  count     ///< number of planes
+};
+inline constexpr Index kSurfacePlanes = static_cast<Index>(SurfacePlane::count);
+
+/// A surface before the network has looked at it.
+struct SurfaceInput {
+  Tensor candidates;    ///< [K H W] local m, NaN where there is none; K = kSurfaceCandidates
+  Tensor planes;        ///< [C H W], see SurfacePlane
+  double interval = 1;  ///< height that moves a point by one pixel between two views, m
+};
+
+/// Every width of the surface network.
+struct SurfaceConfig {
+  Index base = 12;  ///< channels at full resolution; x2, x4, x6, x8 at strides 2 to 16
+
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("base", s.base,
+      Field{.help = "channels of the surface network at full resolution", .min = 1, .max = 64});
+  }
+  friend bool operator==(const SurfaceConfig&, const SurfaceConfig&) = default;
+};
+
+/// What the surface network says of every cell; its height is `chosen_height` of the first two.
+template <class T>
+struct SurfaceOutput {
+  BasicVar<T> logits;     ///< [K H W] of the candidates
+  BasicVar<T> residual;   ///< [H W]
+  BasicVar<T> log_scale;  ///< [H W] logarithm of the expected error, in intervals
+};
+
+/// How far a height may be from what the candidates say, in intervals.
+inline constexpr double kSurfaceReach = 2;
+
+/// A 2D U-Net on the grid of a surface: of candidates for every cell and what the images say of them
+/// it makes one height and says how unsure it is. It looks some 100 cells far. Nothing in it is
+/// normalised over the map, so that a cell's height does not depend on the size of the surface.
+/// Source: after Stucker and Schindler 2022 (ResDepth); here it chooses before it corrects.
+template <class T>
+class SurfaceNet {
+ public:
+  SurfaceNet(ParameterSet<T>& parameters, const SurfaceConfig& config);
+  /// input   a surface of any size
+  /// throws  ShapeError
+  SurfaceOutput<T> operator()(const SurfaceInput& input) const;
+
+ private:
+  struct Down {
+    Conv2d<T> halve;
+    std::vector<Conv2d<T>> same;
+  };
+  struct Up {
+    Conv2d<T> reduce, same;
+  };
+
+  Conv2d<T> stem_;
+  std::vector<Down> down_;  ///< to strides 2, 4, 8, 16
+  std::vector<Up> up_;      ///< to strides 8, 4, 2, 1
+  Conv2d<T> head_;
+};
+
+/// A surface network with its own parameters.
+template <class T>
+class BasicSurface {
+ public:
+  /// Parameters are initialised from `seed`.
+  BasicSurface(const SurfaceConfig& config, std::uint64_t seed)
+      : config_(config), parameters_(seed), net_(parameters_, config) {}
+
+  const SurfaceConfig& config() const { return config_; }
+  ParameterSet<T>& parameters() { return parameters_; }
+  const ParameterSet<T>& parameters() const { return parameters_; }
+  /// As SurfaceNet.
+  SurfaceOutput<T> operator()(const SurfaceInput& input) const { return net_(input); }
+
+ private:
+  SurfaceConfig config_;
+  ParameterSet<T> parameters_;
+  SurfaceNet<T> net_;
+};
+using Surface = BasicSurface<float>;
+
+/// A surface as the network made it.
+struct RefinedSurface {
+  Tensor heights;  ///< [H W] local m, NaN where there is no candidate
+  Tensor sigma;    ///< [H W] m, NaN alike: two thirds of the heights should be nearer to the truth
+};
+/// Applies a network.
+/// throws  ShapeError
+RefinedSurface refined(const Surface& network, const SurfaceInput& input);
+
+}  // namespace satsurf::nn

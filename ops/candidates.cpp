@@ -1,0 +1,238 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/ops/candidates.h"
+
+#include "satsurf/core/dims.h"
+#include "satsurf/core/error.h"
+#include "satsurf/core/parallel.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <string>
+
+namespace satsurf {
+namespace {
+
+constexpr Index kGrain = 1 << 12, kMost = 16;  // cells of a piece of work, candidates
+
+/// The weights of one cell's candidates, 0 for those there are not.
+struct Weights {
+  std::array<double, kMost> w{};
+  bool any = false;
+};
+
+template <class T>
+Weights weights_of(const T* logits, const T* candidates, Index K, Index P) {
+  Weights out;
+  double most = -INFINITY, sum = 0;
+  for (Index k = 0; k < K; ++k)
+    if (std::isfinite(candidates[k * P])) most = std::max(most, static_cast<double>(logits[k * P]));
+  if (!(most > -INFINITY)) return out;
+  out.any = true;
+  for (Index k = 0; k < K; ++k)
+    if (std::isfinite(candidates[k * P]))
+      sum += out.w[static_cast<std::size_t>(k)] =
+          std::exp(static_cast<double>(logits[k * P]) - most);
+  for (double& w : out.w) w /= sum;
+  return out;
+}
+
+/// Cells and candidates of a call.
+struct Size {
+  Index K, P;
+};
+
+template <class T>
+Size size_of(Dims& dim, const BasicVar<T>& logits, const BasicTensor<T>& candidates) {
+  dim.match("logits", logits, "K H W").match("candidates", candidates, "K H W");
+  if (dim["K"] > kMost)
+    throw ShapeError("candidates have shape " + candidates.shape().str() + ", expected at most " +
+                     std::to_string(kMost) + " of them");
+  return {dim["K"], dim["H"] * dim["W"]};
+}
+
+/// What a weighted mean is made of.
+struct Sums {
+  double loss = 0, weight = 0;
+  Sums& operator+=(const Sums& o) {
+    loss += o.loss;
+    weight += o.weight;
+    return *this;
+  }
+  double mean() const { return loss / total(); }
+  double total() const { return std::max(weight, 1e-12); }
+};
+
+/// The limits of a scale's logarithm: a hundredth of a unit, and a hundred and fifty.
+double limited(double log_scale) { return std::clamp(log_scale, -4.0, 5.0); }
+
+/// The target of a cell's weights; none where no candidate is near the truth.
+template <class T>
+Weights target_of(const T* candidates, Index K, Index P, double truth, double unit) {
+  constexpr double kFar = 4;
+  Weights out;
+  double least = INFINITY, sum = 0;
+  for (Index k = 0; k < K; ++k)
+    if (std::isfinite(candidates[k * P]))
+      least = std::min(least, std::abs(static_cast<double>(candidates[k * P]) - truth));
+  if (!(least <= kFar * unit)) return out;
+  out.any = true;
+  for (Index k = 0; k < K; ++k)
+    if (std::isfinite(candidates[k * P]))
+      sum += out.w[static_cast<std::size_t>(k)] =
+          std::exp((least - std::abs(static_cast<double>(candidates[k * P]) - truth)) / unit);
+  for (double& q : out.w) q /= sum;
+  return out;
+}
+
+}  // namespace
+
+template <class T>
+BasicVar<T> chosen_height(const BasicVar<T>& logits, const BasicVar<T>& residual,
+                          const BasicTensor<T>& candidates, double reach) {
+  Dims dim("chosen_height");
+  const auto [K, P] = size_of(dim, logits, candidates);
+  dim.match("residual", residual, "H W");
+  auto out = BasicTensor<T>::uninitialised(residual.shape());
+  const T *l = logits.value().data(), *r = residual.value().data(), *z = candidates.data();
+  for_range(P, kGrain, [&, K = K, P = P](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) {
+      const Weights weights = weights_of(l + i, z + i, K, P);
+      double h = weights.any ? reach * std::tanh(static_cast<double>(r[i])) : 0;
+      for (Index k = 0; k < K; ++k)
+        if (const double w = weights.w[static_cast<std::size_t>(k)]; w > 0)
+          h += w * static_cast<double>(z[k * P + i]);
+      out[i] = static_cast<T>(h);
+    }
+  });
+  return BasicVar<T>::record(
+      "chosen_height", std::move(out), {logits, residual}, [=, K = K, P = P](Node<T>& n) {
+        T *dl = n.grad_in(0), *dr = n.grad_in(1);
+        const T *logit = n.in(0), *rest = n.in(1), *heights = candidates.data(), *g = n.grad.data();
+        for_range(P, kGrain, [&](Index begin, Index end) {
+          for (Index i = begin; i < end; ++i) {
+            const Weights weights = weights_of(logit + i, heights + i, K, P);
+            if (!weights.any) continue;
+            const double d = static_cast<double>(g[i]);
+            if (dr != nullptr) {
+              const double t = std::tanh(static_cast<double>(rest[i]));
+              dr[i] += static_cast<T>(d * reach * (1 - t * t));
+            }
+            if (dl == nullptr) continue;
+            double mean = 0;
+            for (Index k = 0; k < K; ++k)
+              if (const double w = weights.w[static_cast<std::size_t>(k)]; w > 0)
+                mean += w * static_cast<double>(heights[k * P + i]);
+            for (Index k = 0; k < K; ++k)
+              if (const double w = weights.w[static_cast<std::size_t>(k)]; w > 0)
+                dl[k * P + i] +=
+                    static_cast<T>(d * w * (static_cast<double>(heights[k * P + i]) - mean));
+          }
+        });
+      });
+}
+
+template <class T>
+BasicVar<T> laplace_loss(const BasicVar<T>& height, const BasicVar<T>& log_scale,
+                         const BasicTensor<T>& truth, const BasicTensor<T>& weight, double unit) {
+  Dims dim("laplace_loss");
+  dim.match("height", height, "H W")
+      .match("log_scale", log_scale, "H W")
+      .match("truth", truth, "H W")
+      .match("weight", weight, "H W");
+  const Index P = truth.count();
+  const T *h = height.value().data(), *s = log_scale.value().data();
+  const Sums sums = ordered_reduce(P, kGrain, Sums{}, [&](Index begin, Index end) {
+    Sums piece;
+    for (Index i = begin; i < end; ++i) {
+      if (!(weight[i] > 0)) continue;
+      const double w = static_cast<double>(weight[i]), log_b = limited(static_cast<double>(s[i])),
+                   e = std::abs(static_cast<double>(h[i] - truth[i])) / unit;
+      piece += {w * (e * std::exp(-log_b) + log_b + std::log(2.0)), w};
+    }
+    return piece;
+  });
+  return BasicVar<T>::record(
+      "laplace_loss", BasicTensor<T>::scalar(static_cast<T>(sums.mean())), {height, log_scale},
+      [=](Node<T>& n) {
+        T *dh = n.grad_in(0), *ds = n.grad_in(1);
+        const T *of = n.in(0), *scale = n.in(1);
+        const double factor = static_cast<double>(n.grad[0]) / sums.total();
+        for_range(P, kGrain, [&](Index begin, Index end) {
+          for (Index i = begin; i < end; ++i) {
+            if (!(weight[i] > 0)) continue;
+            const double w = factor * static_cast<double>(weight[i]),
+                         raw = static_cast<double>(scale[i]), log_b = limited(raw),
+                         e = static_cast<double>(of[i] - truth[i]) / unit,
+                         inverse = std::exp(-log_b);
+            if (dh != nullptr && e != 0)
+              dh[i] += static_cast<T>(w * (e > 0 ? inverse : -inverse) / unit);
+            if (ds != nullptr && raw == log_b)
+              ds[i] += static_cast<T>(w * (1 - std::abs(e) * inverse));
+          }
+        });
+      });
+}
+
+template <class T>
+BasicVar<T> candidate_cross_entropy(const BasicVar<T>& logits, const BasicTensor<T>& candidates,
+                                    const BasicTensor<T>& truth, const BasicTensor<T>& weight,
+                                    double unit) {
+  Dims dim("candidate_cross_entropy");
+  const auto [K, P] = size_of(dim, logits, candidates);
+  dim.match("truth", truth, "H W").match("weight", weight, "H W");
+  // body(cell, its weights, their target, what it counts)
+  const auto each = [=, K = K, P = P](const T* l, Index begin, Index end, const auto& body) {
+    for (Index i = begin; i < end; ++i) {
+      if (!(weight[i] > 0)) continue;
+      const Weights q = target_of(candidates.data() + i, K, P, static_cast<double>(truth[i]), unit);
+      if (q.any)
+        body(i, weights_of(l + i, candidates.data() + i, K, P), q, static_cast<double>(weight[i]));
+    }
+  };
+  constexpr double kLeast = 1e-12;
+  const T* l = logits.value().data();
+  const Sums sums = ordered_reduce(P, kGrain, Sums{}, [&](Index begin, Index end) {
+    Sums piece;
+    each(l, begin, end, [&](Index, const Weights& p, const Weights& q, double w) {
+      for (std::size_t k = 0; k < kMost; ++k)
+        if (q.w[k] > 0) piece.loss -= w * q.w[k] * std::log(p.w[k] + kLeast);
+      piece.weight += w;
+    });
+    return piece;
+  });
+  return BasicVar<T>::record(
+      "candidate_cross_entropy", BasicTensor<T>::scalar(static_cast<T>(sums.mean())), {logits},
+      [=, K = K, P = P](Node<T>& n) {
+        T* dl = n.grad_in(0);
+        if (dl == nullptr) return;
+        const double factor = static_cast<double>(n.grad[0]) / sums.total();
+        for_range(P, kGrain, [&](Index begin, Index end) {
+          each(n.in(0), begin, end, [&](Index i, const Weights& p, const Weights& q, double w) {
+            // d(-sum q log(p + e))/dl_k = p_k sum_j q_j p_j / (p_j + e) - q_k p_k / (p_k + e)
+            double sum = 0;
+            for (std::size_t k = 0; k < kMost; ++k) sum += q.w[k] * p.w[k] / (p.w[k] + kLeast);
+            for (Index k = 0; k < K; ++k) {
+              const auto at = static_cast<std::size_t>(k);
+              if (p.w[at] > 0)
+                dl[k * P + i] += static_cast<T>(
+                    factor * w * (p.w[at] * sum - q.w[at] * p.w[at] / (p.w[at] + kLeast)));
+            }
+          });
+        });
+      });
+}
+
+#define SATSURF_CANDIDATES(T)                                                                      \
+  template BasicVar<T> chosen_height(const BasicVar<T>&, const BasicVar<T>&,                       \
+                                     const BasicTensor<T>&, double);                               \
+  template BasicVar<T> laplace_loss(const BasicVar<T>&, const BasicVar<T>&, const BasicTensor<T>&, \
+                                    const BasicTensor<T>&, double);                                \
+  template BasicVar<T> candidate_cross_entropy(const BasicVar<T>&, const BasicTensor<T>&,          \
+                                               const BasicTensor<T>&, const BasicTensor<T>&,       \
+                                               double)
+SATSURF_CANDIDATES(float);
+SATSURF_CANDIDATES(double);
+#undef SATSURF_CANDIDATES
+
+}  // namespace satsurf

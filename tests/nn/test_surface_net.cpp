@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
+#include "satsurf/nn/surface_net.h"
+#include "satsurf/nn/weights_file.h"
+#include "satsurf/ops/candidates.h"
+#include "satsurf/ops/elementwise.h"
+#include "satsurf/ops/reduce.h"
+
+#include <cmath>
+#include <cstring>
+
+#include "tests/gradcheck.h"
+#include "tests/temp_folder.h"
+
+using namespace satsurf;
+using namespace satsurf::nn;
+using test::normal;
+
+namespace {
+
+SurfaceInput some_input(Index H, Index W) {
+  SurfaceInput input{normal({kSurfaceCandidates, H, W}, 1, 5).cast<float>(),
+                     normal({kSurfacePlanes, H, W}, 2).cast<float>(), 0.8};
+  for (Index k = 0; k < input.candidates.count(); k += 7) input.candidates[k] = std::nanf("");
+  for (Index k = 0; k < kSurfaceCandidates; ++k)
+    input.candidates[k * H * W + 5] = std::nanf("");  // a cell nobody knows anything of
+  return input;
+}
+
+bool same_bits(const Tensor& a, const Tensor& b) {
+  return a.shape() == b.shape() &&
+         std::memcmp(a.data(), b.data(), static_cast<std::size_t>(a.count()) * sizeof(float)) == 0;
+}
+
+}  // namespace
+
+TEST_CASE("the surface network takes surfaces of any size and keeps to the candidates") {
+  const Surface network({.base = 3}, 1);
+  for (const auto& [H, W] : {std::pair<Index, Index>{32, 48}, {37, 19}, {1, 1}, {5, 2}}) {
+    CAPTURE(H);
+    SurfaceInput input = some_input(std::max<Index>(H, 3), std::max<Index>(W, 3));
+    const RefinedSurface out = refined(network, input);
+    REQUIRE(out.heights.shape() == Shape{input.planes.dim(1), input.planes.dim(2)});
+    const Index P = out.heights.count();
+    for (Index i = 0; i < P; ++i) {
+      double low = INFINITY, high = -INFINITY;
+      for (Index k = 0; k < kSurfaceCandidates; ++k)
+        if (const auto z = static_cast<double>(input.candidates[k * P + i]); std::isfinite(z))
+          low = std::min(low, z), high = std::max(high, z);
+      if (!(low <= high)) {
+        CHECK(std::isnan(out.heights[i]));
+        CHECK(std::isnan(out.sigma[i]));
+        continue;
+      }
+      const double reach = kSurfaceReach * input.interval + 1e-4;
+      REQUIRE(static_cast<double>(out.heights[i]) >= low - reach);
+      REQUIRE(static_cast<double>(out.heights[i]) <= high + reach);
+      REQUIRE(out.sigma[i] > 0);
+    }
+  }
+}
+
+TEST_CASE("a cell's height does not depend on the surface far away, nor on the threads") {
+  const Surface network({.base = 4}, 2);
+  const SurfaceInput whole = some_input(64, 400);
+  SurfaceInput part{Tensor({kSurfaceCandidates, 64, 208}), Tensor({kSurfacePlanes, 64, 208}),
+                    whole.interval};
+  const auto cut = [](const Tensor& from, Tensor& to) {
+    for (Index c = 0; c < to.dim(0); ++c)
+      for (Index i = 0; i < 64; ++i)
+        std::copy_n(from.data() + (c * 64 + i) * 400, 208, to.data() + (c * 64 + i) * 208);
+  };
+  cut(whole.candidates, part.candidates);
+  cut(whole.planes, part.planes);
+  const RefinedSurface all = refined(network, whole), some = refined(network, part);
+  float worst = 0, beyond = 0;  // a map's width decides how convolutions are cut up, and rounded
+  for (Index i = 0; i < 64; ++i)
+    for (Index j = 0; j < 208; ++j) {
+      const float a = all.heights[i * 400 + j], b = some.heights[i * 208 + j];
+      REQUIRE(std::isnan(a) == std::isnan(b));
+      float& most = j < 208 - 160 ? worst : beyond;
+      most = std::fmax(most, std::abs(a - b));
+    }
+  CHECK(worst < 1e-3f);
+  CHECK(beyond > 1e-2f);
+  set_threads(1);
+  const RefinedSurface alone = refined(network, whole);
+  set_threads(0);
+  CHECK(same_bits(alone.heights, all.heights));
+  CHECK(same_bits(alone.sigma, all.sigma));
+}
+
+TEST_CASE("surface network: gradients in double") {
+  BasicSurface<double> network({.base = 2}, 3);
+  const SurfaceInput input = some_input(18, 21);
+  BasicTensor<double> z = input.candidates.cast<double>();
+  const auto objective = [&] {
+    const auto out = network(input);
+    const auto h = chosen_height(out.logits, out.residual, z, 1.0);
+    return mean(h * h) + mean(out.log_scale * out.log_scale);
+  };
+  // A bias of nothing beside nothing to look at stands on the kink of the ReLU.
+  for (const auto& entry : network.parameters().entries())
+    if (entry.name.ends_with(".bias")) {
+      BasicVar<double> var = entry.var;
+      for (double& b : var.mutable_value().values()) b = 0.05;
+    }
+  network.parameters().clear_grads();
+  objective().backward();
+  for (const auto& entry : network.parameters().entries()) {
+    CAPTURE(entry.name);
+    BasicVar<double> var = entry.var;
+    REQUIRE(!var.grad().empty());
+    double largest = 0;
+    for (const double g : var.grad().values()) largest = std::max(largest, std::abs(g));
+    CHECK(largest > 0);
+    const NoGrad no_grad;
+    for (const Index k : {Index{0}, var.count() / 2, var.count() - 1}) {
+      const double was = var.value()[k], step = 1e-6;
+      var.mutable_value()[k] = was + step;
+      const double above = objective().value().item();
+      var.mutable_value()[k] = was - step;
+      const double below = objective().value().item();
+      var.mutable_value()[k] = was;
+      CHECK(std::abs(var.grad()[k] - (above - below) / (2 * step)) <= 1e-4 * largest + 1e-8);
+    }
+  }
+}
+
+TEST_CASE("a file may hold a surface network beside others") {
+  const test::TempFolder folder("surface-net");
+  Surface network({.base = 5}, 7);
+  TensorFile file;
+  store_surface(file, network);
+  save_safetensors(folder / "with.safetensors", file);
+  const auto back = load_surface(folder / "with.safetensors");
+  REQUIRE(back);
+  CHECK(back->config().base == 5);
+  const SurfaceInput input = some_input(20, 20);
+  CHECK(same_bits(refined(*back, input).heights, refined(network, input).heights));
+  TensorFile none;
+  none.metadata["format"] = "satsurf-1";
+  none.tensors["model.x"] = Tensor({1});
+  save_safetensors(folder / "without.safetensors", none);
+  CHECK(!load_surface(folder / "without.safetensors"));
+}
+
+TEST_CASE("the surface network refuses what does not fit") {
+  const Surface network({.base = 2}, 1);
+  SurfaceInput input = some_input(8, 8);
+  input.planes = Tensor({3, 8, 8});
+  CHECK_THROWS_AS(refined(network, input), ShapeError);
+}

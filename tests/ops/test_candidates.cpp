@@ -1,0 +1,120 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
+#include "satsurf/ops/candidates.h"
+
+#include <cmath>
+#include <vector>
+
+#include "tests/gradcheck.h"
+
+using namespace satsurf;
+using test::gradcheck;
+using test::normal;
+
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+/// Three candidates of 4 x 5 cells; some are missing, and one cell has none.
+BasicTensor<double> some_candidates() {
+  BasicTensor<double> z = normal({3, 4, 5}, 8, 4);
+  for (Index k : {0, 21, 24, 43, 7}) z[k] = kNan;
+  for (Index k = 0; k < 3; ++k) z[20 * k + 11] = kNan;
+  return z;
+}
+
+}  // namespace
+
+TEST_CASE("chosen_height by hand") {
+  const auto z = BasicTensor<double>::from({3, 1, 3}, {1, 5, kNan, 3, kNan, kNan, 9, 7, kNan});
+  BasicTensor<double> logits({3, 1, 3}), residual({1, 3});
+  logits[3] = std::log(2.0);  // the second candidate of the first cell, twice as likely
+  residual[1] = 0.5;
+  residual[2] = 3;
+  const auto h = chosen_height(BasicVar<double>(logits), BasicVar<double>(residual), z, 2).value();
+  CHECK(h[0] == doctest::Approx((1 + 2 * 3 + 9) / 4.0));
+  CHECK(h[1] == doctest::Approx(6 + 2 * std::tanh(0.5)));
+  CHECK(h[2] == 0);  // nothing to choose from
+}
+
+TEST_CASE("chosen_height: gradient and threads") {
+  const auto z = some_candidates();
+  CHECK(gradcheck([&](const test::DoubleVars& v) { return chosen_height(v[0], v[1], z, 1.5); },
+                  {normal({3, 4, 5}, 1), normal({4, 5}, 2)}));
+  const auto run = [&](int threads) {
+    set_threads(threads);
+    const Var l(normal({4, 90, 70}, 3).cast<float>(), true);
+    const Var h = chosen_height(l, Var(normal({90, 70}, 4).cast<float>()),
+                                normal({4, 90, 70}, 5).cast<float>(), 2);
+    h.backward(Tensor(h.shape(), 1.f));
+    set_threads(0);
+    return std::pair(h.value(), l.grad());
+  };
+  const auto one = run(1), two = run(2);
+  for (Index i = 0; i < one.first.count(); ++i) REQUIRE(one.first[i] == two.first[i]);
+  for (Index i = 0; i < one.second.count(); ++i) REQUIRE(one.second[i] == two.second[i]);
+}
+
+TEST_CASE("laplace_loss by hand") {
+  const auto h = BasicTensor<double>::from({1, 4}, {3, 3, 100, 0}),
+             s = BasicTensor<double>::from({1, 4}, {0, std::log(2.0), 0, -9}),
+             t = BasicTensor<double>::from({1, 4}, {1, 4, kNan, 0}),
+             w = BasicTensor<double>::from({1, 4}, {1, 3, 0, 0});
+  const auto loss = [&](const BasicTensor<double>& weight) {
+    return laplace_loss(BasicVar<double>(h), BasicVar<double>(s), t, weight, 0.5).value().item();
+  };
+  // errors of 4 and 2 units, expected 1 and 2
+  CHECK(loss(w) == doctest::Approx((4 + std::log(2.0) + 3 * (1 + std::log(4.0))) / 4));
+  CHECK(loss(BasicTensor<double>({1, 4})) == 0);
+  auto last = BasicTensor<double>({1, 4});
+  last[3] = 1;
+  CHECK(loss(last) == doctest::Approx(-4 + std::log(2.0)));  // no surer than this
+}
+
+TEST_CASE("laplace_loss: gradient") {
+  const auto t = normal({6, 7}, 3, 3);
+  BasicTensor<double> w = normal({6, 7}, 4);
+  for (double& v : w.values()) v = std::max(v, 0.0);
+  CHECK(gradcheck([&](const test::DoubleVars& v) { return laplace_loss(v[0], v[1], t, w, 0.7); },
+                  {normal({6, 7}, 1, 3), normal({6, 7}, 2)}));
+}
+
+TEST_CASE("candidate_cross_entropy by hand") {
+  // Candidates 0 and 3 m with weights 0.25 and 0.75 in three cells.
+  const auto z = BasicTensor<double>::from({2, 1, 3}, {0, 0, 0, 3, kNan, 3});
+  BasicTensor<double> logits({2, 1, 3});
+  for (Index i = 3; i < 6; ++i) logits[i] = std::log(3.0);
+  const auto loss = [&](const std::vector<double>& truth, const std::vector<double>& weight) {
+    return candidate_cross_entropy(BasicVar<double>(logits), z,
+                                   BasicTensor<double>::from({1, 3}, truth),
+                                   BasicTensor<double>::from({1, 3}, weight), 1.0)
+        .value()
+        .item();
+  };
+  const double q = 1 / (1 + std::exp(-1.0));  // of a truth at 1 m: e^-1 against e^-2
+  CHECK(loss({1, 0, 0}, {2, 0, 0}) ==
+        doctest::Approx(-q * std::log(0.25) - (1 - q) * std::log(0.75)));
+  CHECK(loss({0, 1, 0}, {0, 1, 0}) == doctest::Approx(0));  // there is no other
+  CHECK(loss({0, 0, 7.5}, {0, 0, 1}) == 0);                 // out of reach of both
+}
+
+TEST_CASE("candidate_cross_entropy: gradient") {
+  const auto z = some_candidates(), t = normal({4, 5}, 3, 3);
+  BasicTensor<double> w({4, 5}, 1.0);
+  w[3] = 0, w[9] = 2;
+  CHECK(gradcheck(
+      [&](const test::DoubleVars& v) { return candidate_cross_entropy(v[0], z, t, w, 0.8); },
+      {normal({3, 4, 5}, 1)}));
+}
+
+TEST_CASE("what does not fit is refused") {
+  const BasicVar<double> logits{BasicTensor<double>({3, 4, 5})}, wrong{BasicTensor<double>({4, 6})};
+  CHECK_THROWS_WITH_AS(chosen_height(logits, wrong, some_candidates(), 1),
+                       "chosen_height: residual has shape [4,6], expected [H W] with H=4 from "
+                       "logits, W=5 from logits",
+                       ShapeError);
+  const BasicTensor<double> many({17, 1, 1});
+  CHECK_THROWS_AS(
+      chosen_height(BasicVar<double>(many), BasicVar<double>(BasicTensor<double>({1, 1})), many, 1),
+      ShapeError);
+}

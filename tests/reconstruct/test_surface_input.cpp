@@ -1,0 +1,173 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
+#include "satsurf/core/rng.h"
+#include "satsurf/reconstruct/cell_mode.h"
+#include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/reconstruct/surface_input.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+#include "tests/affine_scene.h"
+#include "tests/reconstruct/simulated.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::reconstruct;
+using nn::SurfaceCandidate;
+using nn::SurfacePlane;
+
+namespace {
+
+constexpr Index S = 64;
+
+/// Surfels on level ground and on a roof in its middle, as three views of flat ground find them.
+struct MadeUp {
+  MadeUp()
+      : input(test::affine_scene(S, {{0, 0}, {1, 0}, {-1, 0}}, -5, 10,
+                                 [](double, double) { return 0.0; })) {
+    for (double x = -12; x < 12; x += 0.25)
+      for (double y = -12; y < 12; y += 0.25) {
+        if (std::abs(x - 9) < 1.5 && std::abs(y) < 1.5) continue;  // a hole
+        add(x, y, std::abs(x) < 3 && std::abs(y) < 3 ? 6 : 0, 0.8f);
+      }
+  }
+  void add(double x, double y, double z, float sure) {
+    for (const double v : {x, y, z}) places.push_back(static_cast<float>(v));
+    confidences.push_back(sure);
+  }
+  nn::SurfaceInput made() const {
+    const Index n = std::ssize(confidences);
+    return surface_input(Tensor::from({n, 3}, places), Tensor::from({n}, confidences),
+                         {Tensor::from({n}, confidences), Tensor({n, 2})}, grid, input.sources);
+  }
+  Index cell(double x, double y) const {
+    return static_cast<Index>((grid.north - y) / grid.step) * grid.width +
+           static_cast<Index>((x - grid.east) / grid.step);
+  }
+  float height(const nn::SurfaceInput& in, SurfaceCandidate c, double x, double y) const {
+    return in.candidates[static_cast<Index>(c) * grid.height * grid.width + cell(x, y)];
+  }
+  float plane(const nn::SurfaceInput& in, Index p, double x, double y) const {
+    return in.planes[p * grid.height * grid.width + cell(x, y)];
+  }
+
+  nn::NetworkInput input;
+  std::vector<float> places, confidences;
+  FusionGrid grid{.east = -12,
+                  .north = 12,
+                  .step = 0.5,
+                  .height = 48,
+                  .width = 48,
+                  .footprint = 0.5,
+                  .interval = 0.75};
+};
+
+Index at(SurfacePlane p) { return static_cast<Index>(p); }
+
+}  // namespace
+
+TEST_CASE("the candidates of roof, ground and hole") {
+  MadeUp made;
+  for (double y = -1; y < 1; y += 0.25) made.add(6.1, y, 4, 0.3f);  // a few that are wrong
+  const nn::SurfaceInput in = made.made();
+  CHECK(made.height(in, SurfaceCandidate::mode, 0.1, 0.1) == doctest::Approx(6));
+  CHECK(made.height(in, SurfaceCandidate::ground, 0.1, 0.1) == doctest::Approx(0));
+  CHECK(std::isnan(made.height(in, SurfaceCandidate::second, 0.1, 0.1)));
+  CHECK(made.height(in, SurfaceCandidate::around, 0.1, 0.1) == doctest::Approx(6));
+  CHECK(made.plane(in, at(SurfacePlane::mode_share), 0.1, 0.1) == doctest::Approx(1));
+  CHECK(made.plane(in, at(SurfacePlane::confidence), 0.1, 0.1) == doctest::Approx(0.8));
+
+  CHECK(made.height(in, SurfaceCandidate::mode, 6.1, 0.1) == doctest::Approx(0));
+  CHECK(made.height(in, SurfaceCandidate::second, 6.1, 0.1) == doctest::Approx(4));
+  const float share = made.plane(in, at(SurfacePlane::second_share), 6.1, 0.1);
+  CHECK(share > 0.02f);
+  CHECK(share < 0.3f);
+  CHECK(made.plane(in, at(SurfacePlane::mode_share), 6.1, 0.1) == doctest::Approx(1 - share));
+
+  CHECK(std::isnan(made.height(in, SurfaceCandidate::mode, 9.1, 0.1)));
+  CHECK(made.height(in, SurfaceCandidate::around, 9.1, 0.1) == doctest::Approx(0));
+  CHECK(made.height(in, SurfaceCandidate::ground, 9.1, 0.1) == doctest::Approx(0));
+  CHECK(made.plane(in, at(SurfacePlane::weight), 9.1, 0.1) == 0);
+}
+
+TEST_CASE("the images agree at the true height and not elsewhere") {
+  const MadeUp made;
+  const nn::SurfaceInput in = made.made();
+  const Index first = at(SurfacePlane::disagreement), best = at(SurfacePlane::best_pair);
+  double right = 0, wrong = 0, n = 0;
+  for (double x = -2; x < 2; x += 0.5)
+    for (double y = -2; y < 2; y += 0.5, ++n) {
+      // the images are of level ground: of the roof only the candidate `ground` is where they agree
+      wrong += static_cast<double>(
+          made.plane(in, first + static_cast<Index>(SurfaceCandidate::mode), x, y));
+      right += static_cast<double>(
+          made.plane(in, first + static_cast<Index>(SurfaceCandidate::ground), x, y));
+      for (Index k = 0; k < nn::kSurfaceCandidates; ++k)
+        CHECK(made.plane(in, best + k, x, y) <= 2 * made.plane(in, first + k, x, y) + 1e-6f);
+    }
+  CHECK(right / n < 0.1);
+  CHECK(wrong / n > 0.4);
+}
+
+TEST_CASE("a cell's summary is what its definition says") {
+  Rng rng(4);
+  for (int trial = 0; trial < 200; ++trial) {
+    std::vector<CellCandidate> candidates;
+    for (int k = 0; k < 1 + trial % 30; ++k)
+      candidates.push_back({rng.uniform(0, 9), rng.uniform(0.01, 1), rng.uniform(0, 1)});
+    std::vector<CellCandidate> again = candidates, rest;
+    const CellMode mode = densest_mode(again, 0.8);
+    double weight = 0, sure = 0, low = 0, high = 0;
+    for (const auto& c : candidates) weight += c.weight, sure += c.weight * c.confidence;
+    const CellSummary s = summary_of(again = candidates, 0.8);
+    CHECK(s.mode.height == doctest::Approx(mode.height));
+    CHECK(s.mode.confidence == doctest::Approx(mode.confidence));
+    CHECK(s.weight == doctest::Approx(weight));
+    CHECK(s.confidence == doctest::Approx(sure / weight));
+    for (const auto& c : candidates) {
+      low += c.z < s.low ? c.weight : 0;
+      high += c.z > s.high ? c.weight : 0;
+    }
+    CHECK(low < 0.1 * weight);
+    CHECK(high < 0.1 * weight);
+    CHECK(s.mode_share + s.second_share <= 1 + 1e-9);
+    CHECK(std::isnan(s.second) == (s.second_share == 0));
+  }
+  std::vector<CellCandidate> none;
+  CHECK(std::isnan(summary_of(none, 1).mode.height));
+}
+
+TEST_CASE("a refined surface has a height and an expected error in every cell with surfels near") {
+  const scene::SimulatedScene made = test::village(96, 3);
+  const test::HeldImages held(made);
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  const nn::Surface network({.base = 3}, 5);
+  const scene::UserScene user = scene::scene_from_images(held.images(), test::range_of(made));
+  ReconstructOptions how;
+  how.network = &network;
+  const Reconstruction refined = reconstruct::reconstruct(model, user.scene, how);
+  how.surface = Surface::plain;
+  const Reconstruction plain = reconstruct::reconstruct(model, user.scene, how);
+  REQUIRE(refined.sigma.shape() == refined.dsm.z.shape());
+  CHECK(plain.sigma.empty());
+  Index more = 0;
+  for (Index i = 0; i < refined.sigma.count(); ++i) {
+    CHECK(std::isfinite(refined.sigma[i]) == std::isfinite(refined.dsm.z[i]));
+    CHECK(std::isfinite(refined.confidence[i]) == std::isfinite(refined.dsm.z[i]));
+    if (std::isfinite(plain.dsm.z[i])) CHECK(std::isfinite(refined.dsm.z[i]));
+    more += std::isfinite(refined.dsm.z[i]) && !std::isfinite(plain.dsm.z[i]);
+  }
+  CHECK(more > 0);
+  set_threads(1);
+  how.surface = Surface::automatic;
+  const Reconstruction alone = reconstruct::reconstruct(model, user.scene, how);
+  set_threads(0);
+  CHECK(std::memcmp(alone.dsm.z.data(), refined.dsm.z.data(),
+                    sizeof(float) * static_cast<std::size_t>(refined.dsm.z.count())) == 0);
+  how.surface = Surface::refined, how.network = nullptr;
+  CHECK_THROWS_WITH_AS(reconstruct::reconstruct(model, user.scene, how),
+                       "surface is refined, expected weights with a surface network", ConfigError);
+}

@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/parallel.h"
+#include "satsurf/nn/adamw.h"
+#include "satsurf/nn/weights_file.h"
+#include "satsurf/train/surface_trainer.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <set>
+#include <vector>
+
+#include "tests/temp_folder.h"
+#include "tests/train/train_in_folder.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::test;
+using namespace satsurf::train;
+
+namespace {
+
+/// A cascade that has learned nothing, in a file.
+const std::filesystem::path& cascade() {
+  static const TempFolder folder("surface-1");
+  static const std::filesystem::path file = [] {
+    nn::save_model(folder / "cascade.safetensors", nn::Model(nn::model_preset("tiny"), 3));
+    return folder / "cascade.safetensors";
+  }();
+  return file;
+}
+
+SurfaceTrainConfig tiny(Index steps) {
+  SurfaceTrainConfig c;
+  c.surface.base = 3;
+  c.cascades = {cascade()};
+  c.steps = steps;
+  c.crop = 48;
+  c.batch = 2;
+  c.simulate.pixels = 96;
+  c.simulate.views = 3;
+  c.simulate.gsd = 0.5;
+  c.simulate.water = 0;
+  c.simulate.kinds = {scene::SceneKind::city, scene::SceneKind::suburb};
+  c.scene_uses = 8;
+  c.scene_pool = 2;
+  return c;
+}
+
+/// A lesson in which the second candidate is right wherever the images agree about it.
+SurfaceLesson made_up(Index S) {
+  Rng rng(9);
+  const Index P = S * S;
+  SurfaceLesson lesson{
+      {Tensor({nn::kSurfaceCandidates, S, S}), Tensor({nn::kSurfacePlanes, S, S}), 0.5},
+      Tensor({S, S}),
+      Tensor({S, S}, 1.f)};
+  for (Index i = 0; i < P; ++i) {
+    const bool second = (i / S / 8 + i % S / 8) % 2 == 0;
+    for (Index k = 0; k < nn::kSurfaceCandidates; ++k)
+      lesson.input.candidates[k * P + i] = k == 1 ? 6.f : 0.f;
+    lesson.input.planes[i] = second ? 1.f : 0.f;
+    lesson.input.planes[P + i] = second ? 0.f : 1.f;
+    lesson.truth[i] = (second ? 6.f : 0.f) + 0.1f * static_cast<float>(rng.normal());
+  }
+  lesson.weight[3] = 0, lesson.truth[3] = std::nanf("");
+  return lesson;
+}
+
+}  // namespace
+
+TEST_CASE("surface training: resumed on other threads it is the same, byte for byte") {
+  const TempFolder folder("surface-2");
+  train_in_folder(tiny(6), {}, folder / "whole", 4);
+  train_in_folder(tiny(6), {}, folder / "parts", 4, false,
+                  [](const StepReport& r) { return r.step < 3; });
+  CHECK(read_bytes(folder / "parts/checkpoint.safetensors") !=
+        read_bytes(folder / "whole/checkpoint.safetensors"));
+  set_threads(1);
+  train_in_folder(tiny(6), {}, folder / "parts", 4, true);
+  set_threads(0);
+  CHECK(read_bytes(folder / "parts/checkpoint.safetensors") ==
+        read_bytes(folder / "whole/checkpoint.safetensors"));
+  CHECK(read_bytes(folder / "parts/train.jsonl").size() > 0);
+  // the files work by themselves
+  const auto network = nn::load_surface(folder / "whole/weights.safetensors");
+  REQUIRE(network);
+  CHECK(network->config().base == 3);
+  CHECK(nn::load_model(folder / "whole/weights.safetensors").config() ==
+        nn::load_model(cascade()).config());
+}
+
+TEST_CASE("the surface network learns which candidate the images agree about") {
+  SurfaceTrainConfig config = tiny(1);
+  const SurfaceLesson lesson = made_up(48);
+  nn::Surface network(config.surface, 2);
+  const double before = surface_loss(config, network, lesson).terms[0].second;
+  CHECK(surface_loss(config, network, lesson).terms[1].second == doctest::Approx(3).epsilon(0.05));
+  nn::AdamW optimiser(network.parameters(), {});
+  for (int step = 0; step < 150; ++step) {
+    network.parameters().clear_grads();
+    surface_loss(config, network, lesson).total.backward();
+    optimiser.step(5e-3);
+  }
+  const double after = surface_loss(config, network, lesson).terms[0].second;
+  CHECK(before > 1);
+  CHECK(after < 0.5);
+}
+
+TEST_CASE("a lesson's windows are squares of it in all eight orientations") {
+  SurfaceLesson lesson = made_up(20);
+  for (Index i = 0; i < 400; ++i) lesson.truth[i] = static_cast<float>(i);
+  for (Index i = 0; i < 400; ++i) lesson.input.candidates[i] = lesson.truth[i] + 1;
+  std::set<std::pair<int, int>> directions;
+  for (std::uint64_t seed = 0; seed < 60; ++seed) {
+    Rng rng(seed);
+    const SurfaceLesson window = window_of(lesson, 8, rng);
+    REQUIRE(window.truth.shape() == Shape{8, 8});
+    for (Index i = 0; i < 64; ++i)
+      REQUIRE(window.input.candidates[i] == window.truth[i] + 1);  // turned together
+    const auto step = [&](Index a, Index b) {
+      return static_cast<int>(window.truth[b] - window.truth[a]);
+    };
+    directions.insert({step(0, 1), step(0, 8)});
+  }
+  CHECK(directions.size() == 8);
+  Rng rng(1);
+  CHECK(window_of(lesson, 64, rng).truth.shape() == Shape{20, 20});
+}
+
+TEST_CASE("surface training refuses what it cannot do") {
+  const TempFolder folder("surface-3");
+  const auto refusal = [&](const SurfaceTrainConfig& config) {
+    return error_of<ConfigError>([&] { train_in_folder(config, {}, folder / "no", 4); });
+  };
+  SurfaceTrainConfig other = tiny(1), none = tiny(1), alone = tiny(1);
+  other.task = Task::mono;
+  none.cascades.clear();
+  alone.simulate.views = 1;
+  CHECK(refusal(other) == "train: task is mono, expected surface");
+  CHECK(refusal(none) == "train: no cascades, expected weights of at least one");
+  CHECK(refusal(alone) == "train: simulate.views is 1, expected two or more");
+}

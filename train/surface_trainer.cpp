@@ -1,0 +1,224 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/train/surface_trainer.h"
+
+#include "satsurf/core/fields_json.h"
+#include "satsurf/nn/weights_file.h"
+#include "satsurf/ops/candidates.h"
+#include "satsurf/ops/elementwise.h"
+#include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/train/augment.h"
+#include "satsurf/train/sample_batch.h"
+#include "satsurf/train/scene_stream.h"
+#include "satsurf/train/stream.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <numeric>
+#include <optional>
+#include <utility>
+
+namespace satsurf::train {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// What is true of every cell of a grid, and whether it counts: known, and no water.
+void add_truth(const scene::Scene& scene, const reconstruct::UnrefinedSurface& made,
+               SurfaceLesson& lesson) {
+  constexpr float kWater = 9;
+  const scene::HeightField& truth = *scene.truth;
+  const Index H = made.input.planes.dim(1), W = made.input.planes.dim(2);
+  lesson.truth = Tensor({H, W}), lesson.weight = Tensor({H, W});
+  for (Index i = 0; i < H; ++i)
+    for (Index j = 0; j < W; ++j) {
+      const double x = made.x0 + (static_cast<double>(j) + 0.5) * made.step,
+                   y = made.y0 - (static_cast<double>(i) + 0.5) * made.step;
+      const auto row = static_cast<Index>(std::floor((truth.y0 - y) / truth.step)),
+                 col = static_cast<Index>(std::floor((x - truth.x0) / truth.step));
+      if (row < 0 || col < 0 || row >= truth.z.dim(0) || col >= truth.z.dim(1)) continue;
+      const Index k = row * truth.z.dim(1) + col;
+      if (!std::isfinite(truth.z[k])) continue;
+      if (!scene.classes.empty() && scene.classes[k] == kWater) continue;
+      lesson.truth[i * W + j] = truth.z[k];
+      lesson.weight[i * W + j] = 1;
+    }
+}
+
+/// Some of a scene's images, by one of the cascades, at a random resolution.
+SurfaceLesson lesson_of(const SurfaceTrainConfig& config, const std::vector<nn::Model>& cascades,
+                        scene::Scene scene, Rng rng) {
+  std::vector<std::size_t> order(scene.views.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  for (std::size_t i = order.size(); i-- > 1;)
+    std::swap(order[i], order[static_cast<std::size_t>(rng.below(static_cast<Index>(i) + 1))]);
+  const Index most = std::min(config.views_most, static_cast<Index>(order.size()));
+  order.resize(static_cast<std::size_t>(2 + rng.below(most - 1)));
+  std::vector<scene::View> views;
+  for (const std::size_t i : order) views.push_back(std::move(scene.views[i]));
+  scene.views = std::move(views);
+  const double span = scene.z_range.span();
+  scene.z_range.low -= rng.uniform(0, config.range_jitter) * span;
+  scene.z_range.high += rng.uniform(0, config.range_jitter) * span;
+  reconstruct::ReconstructOptions how;
+  // As fine as the truth or finer, down to what reconstructions have by default.
+  how.resolution =
+      rng.uniform(0, 1) < 0.5 ? scene.truth->step : rng.uniform(0.6, 1) * scene.truth->step;
+  const nn::Model& cascade =
+      cascades[static_cast<std::size_t>(rng.below(static_cast<Index>(cascades.size())))];
+  reconstruct::UnrefinedSurface made = reconstruct::unrefined_surface(cascade, scene, how);
+  SurfaceLesson lesson;
+  add_truth(scene, made, lesson);
+  lesson.input = std::move(made.input);
+  return lesson;
+}
+
+/// Mean distance of a surface from the truth, m.
+double mean_distance(const float* heights, const SurfaceLesson& lesson,
+                     const float* otherwise = nullptr) {
+  double sum = 0, n = 0;
+  for (Index i = 0; i < lesson.truth.count(); ++i) {
+    if (!(lesson.weight[i] > 0)) continue;
+    float z = heights[i];
+    if (!std::isfinite(z) && otherwise != nullptr) z = otherwise[i];
+    if (!std::isfinite(z)) continue;
+    sum += std::abs(static_cast<double>(z - lesson.truth[i])), n += 1;
+  }
+  return n > 0 ? sum / n : std::nan("");
+}
+
+/// Lessons by number.
+using LessonStream = Stream<SurfaceLesson>;
+
+/// The surface network and its objective.
+class SurfaceTask : public TrainingTask {
+ public:
+  SurfaceTask(nn::Surface& network, const nn::Model& cascade, const SurfaceTrainConfig& config,
+              LessonStream& lessons, std::uint64_t seed)
+      : network_(network), cascade_(cascade), config_(config), lessons_(lessons), seed_(seed) {
+    if (config.batch > 1) batch_.emplace(network, config.batch, seed);
+  }
+
+  nn::ParameterSet<float>& parameters() override { return network_.parameters(); }
+  std::string prefix() const override { return nn::kSurfacePrefix; }
+  void store(TensorFile& file) const override {
+    nn::store_model(file, cascade_);
+    nn::store_surface(file, network_);
+  }
+  Index batch() const override { return config_.batch; }
+  StepLoss loss(Index sample) const override { return loss(network_, sample); }
+  StepLoss descend(Index step) override {
+    if (!batch_) return TrainingTask::descend(step);
+    return batch_->descend(
+        step, [this](const nn::Surface& network, Index sample) { return loss(network, sample); });
+  }
+
+ private:
+  StepLoss loss(const nn::Surface& network, Index sample) const {
+    Rng rng = Rng(seed_).fork(static_cast<std::uint64_t>(sample));
+    // A lesson may have little to say where the images hardly overlap.
+    constexpr int kTries = 5;
+    constexpr double kEnough = 0.3;
+    SurfaceLesson window;
+    for (int attempt = 0; attempt < kTries; ++attempt) {
+      const auto lesson = lessons_.item(lessons_.first(sample) + rng.below(lessons_.pool()));
+      window = window_of(*lesson, config_.crop, rng);
+      double known = 0;
+      for (const float w : window.weight.values()) known += static_cast<double>(w);
+      if (known >= kEnough * static_cast<double>(window.weight.count())) break;
+    }
+    return surface_loss(config_, network, window);
+  }
+
+  nn::Surface& network_;
+  const nn::Model& cascade_;
+  const SurfaceTrainConfig& config_;
+  LessonStream& lessons_;
+  std::uint64_t seed_;
+  std::optional<SampleBatch<nn::Surface>> batch_;
+};
+
+}  // namespace
+
+StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::Surface& network,
+                      const SurfaceLesson& lesson) {
+  const double unit = lesson.input.interval;
+  const nn::SurfaceOutput<float> out = network(lesson.input);
+  const Index P = lesson.truth.count();
+  Tensor weight = lesson.weight.clone();
+  for (Index i = 0; i < P; ++i) {
+    bool any = false;
+    for (Index k = 0; k < nn::kSurfaceCandidates; ++k)
+      any = any || std::isfinite(lesson.input.candidates[k * P + i]);
+    if (!any) weight[i] = 0;
+  }
+  const Var height =
+      chosen_height(out.logits, out.residual, lesson.input.candidates, nn::kSurfaceReach * unit);
+  Var total = laplace_loss(height, out.log_scale, lesson.truth, weight, unit);
+  if (config.distance_weight > 0)
+    total = total +
+            affine(laplace_loss(height, Var(Tensor(height.shape())), lesson.truth, weight, unit),
+                   static_cast<float>(config.distance_weight), 0.f);
+  if (config.choice_weight > 0)
+    total = total + affine(candidate_cross_entropy(out.logits, lesson.input.candidates,
+                                                   lesson.truth, weight, unit),
+                           static_cast<float>(config.choice_weight), 0.f);
+  const auto candidate = [&](nn::SurfaceCandidate c) {
+    return lesson.input.candidates.data() + static_cast<Index>(c) * P;
+  };
+  return {total,
+          {{"height_mae", mean_distance(height.value().data(), lesson)},
+           {"mode_mae", mean_distance(candidate(nn::SurfaceCandidate::mode), lesson,
+                                      candidate(nn::SurfaceCandidate::around))}}};
+}
+
+SurfaceLesson window_of(const SurfaceLesson& lesson, Index size, Rng& rng) {
+  const Index H = lesson.truth.dim(0), W = lesson.truth.dim(1), S = std::min({size, H, W}),
+              top = rng.below(H - S + 1), left = rng.below(W - S + 1), symmetry = rng.below(8);
+  const auto cut = [&](const Tensor& map) {
+    const Index C = map.rank() == 3 ? map.dim(0) : 1;
+    auto out = Tensor::uninitialised(map.rank() == 3 ? Shape{C, S, S} : Shape{S, S});
+    for (Index c = 0; c < C; ++c)
+      for (Index i = 0; i < S; ++i)
+        std::copy_n(map.data() + (c * H + top + i) * W + left, S, out.data() + (c * S + i) * S);
+    return turned(out, symmetry);
+  };
+  return {{cut(lesson.input.candidates), cut(lesson.input.planes), lesson.input.interval},
+          cut(lesson.truth),
+          cut(lesson.weight)};
+}
+
+nn::Surface train(const SurfaceTrainConfig& config, const fs::path& data, std::uint64_t seed,
+                  const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
+  check_fields(config, "train");
+  if (config.task != Task::surface)
+    throw ConfigError("train: task is " + enum_name(config.task) + ", expected surface");
+  if (config.cascades.empty())
+    throw ConfigError("train: no cascades, expected weights of at least one");
+  std::vector<nn::Model> cascades;
+  for (const fs::path& file : config.cascades) cascades.push_back(nn::load_model(file));
+  nn::Surface network(config.surface, seed);
+  TrainingRun run{.seed = seed, .checkpoint = checkpoint};
+  std::vector<scene::Scene> scenes;
+  if (!data.empty()) {
+    scenes = training_scenes(data, 2, callbacks.reading);
+    run.scenes = scenes.size();
+  } else {
+    scene::check_config(config.simulate);
+    if (config.simulate.views < 2)
+      throw ConfigError("train: simulate.views is " + std::to_string(config.simulate.views) +
+                        ", expected two or more");
+    if (callbacks.reading) callbacks.reading(0);
+  }
+  LessonStream lessons(config.scene_uses, config.scene_pool, [&](Index number) {
+    scene::Scene scene = data.empty() ? made_up_scene(config.simulate, seed, number)
+                                      : scenes[static_cast<std::size_t>(number) % scenes.size()];
+    return lesson_of(config, cascades, std::move(scene),
+                     Rng(seed).fork(~static_cast<std::uint64_t>(number)));
+  });
+  SurfaceTask task(network, cascades[0], config, lessons, seed);
+  run_training(task, config, to_json(config).dump(), run, callbacks);
+  return network;
+}
+
+}  // namespace satsurf::train

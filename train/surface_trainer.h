@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/core/rng.h"
+#include "satsurf/nn/surface_net.h"
+#include "satsurf/scene/simulate/scene.h"
+#include "satsurf/train/training.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace satsurf::train {
+
+/// Everything the training of the surface network depends on besides data and seed.
+struct SurfaceTrainConfig : TrainingSettings {
+  nn::SurfaceConfig surface;
+  /// Weights of cascades whose reconstructions are refined, a random one of them in each scene: the
+  /// network should see the errors of more than the best one. The files that are written have the
+  /// first, too.
+  std::vector<std::filesystem::path> cascades;
+  Index batch = 4;                   ///< windows per step, each on a thread of its own
+  Index views_most = 5;              ///< images of a reconstruction, which has two or more
+  double range_jitter = 0.3;         ///< random widening of the height range, share of its span
+  double distance_weight = 0.3;      ///< of the mean distance; that of the likelihood is 1
+  double choice_weight = 0.3;        ///< of the cross-entropy of the candidates
+  scene::SimulateConfig simulate{};  ///< scenes made up on the way, where no data set is given
+  Index scene_uses = 16;             ///< samples of each reconstruction
+  Index scene_pool = 24;             ///< reconstructions to draw from at any time
+
+  SurfaceTrainConfig() {
+    task = Task::surface;
+    crop = 192;
+    lr = 2e-3;
+    clip = 1;
+    simulate.views = 5;
+    simulate.bias_px = 0.5;
+  }
+
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    TrainingSettings::fields(s, v);
+    v("surface", s.surface, Field{.help = "surface network"});
+    v("cascades", s.cascades,
+      Field{.help =
+                "weights of the networks whose surfaces are refined, one of them drawn for each "
+                "scene; the files written have the first, too",
+            .automatic = "the shipped ones",
+            .placeholder = "FILE"});
+    v("batch", s.batch,
+      Field{.help = "windows per step, each on a thread of its own", .min = 1, .max = 64});
+    v("views_most", s.views_most,
+      Field{.help = "most images of a reconstruction; the least are two", .min = 2, .max = 16});
+    v("range_jitter", s.range_jitter,
+      Field{.help = "random widening of the height range", .min = 0, .max = 10});
+    v("distance_weight", s.distance_weight,
+      Field{.help = "weight of the mean distance from the truth; that of the likelihood is 1",
+            .min = 0});
+    v("choice_weight", s.choice_weight,
+      Field{.help = "weight of the cross-entropy of the candidates", .min = 0});
+    v("simulate", s.simulate, Field{.help = "scenes made up on the way, without --data"});
+    v("scene_uses", s.scene_uses,
+      Field{.help = "samples of each reconstruction, on average", .min = 1, .max = 10000});
+    v("scene_pool", s.scene_pool,
+      Field{.help = "reconstructions to draw from at any time", .min = 1, .max = 1000});
+  }
+};
+
+/// A surface before the network has looked at it, and what is true.
+struct SurfaceLesson {
+  nn::SurfaceInput input;
+  Tensor truth;   ///< [H W] local m
+  Tensor weight;  ///< [H W] 1 where the truth is known and counts, else 0
+};
+
+/// Likelihood, distance and choice, in which the terms are `height_mae` and `mode_mae` (of the
+/// densest mode, with the holes filled: what the network begins with), m.
+StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::Surface& network,
+                      const SurfaceLesson& lesson);
+
+/// A random square of a lesson in one of eight orientations; the whole of it along axes on which it
+/// is smaller.
+SurfaceLesson window_of(const SurfaceLesson& lesson, Index size, Rng& rng);
+
+/// Trains the surface network on reconstructions of a folder's scenes, or of scenes that are made up
+/// on the way; arguments as those of the cascade's `train`.
+/// throws  IoError, ConfigError
+nn::Surface train(const SurfaceTrainConfig& config, const std::filesystem::path& data,
+                  std::uint64_t seed, const std::filesystem::path& checkpoint,
+                  const TrainingCallbacks& callbacks);
+
+}  // namespace satsurf::train
