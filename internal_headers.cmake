@@ -4,13 +4,14 @@
 set(satsurf_internal_headers
   "_kernels\\.h$"
   "/core/(simd|fields_json)\\.h$"
+  "/ops/weighted_sum\\.h$"
   "/ops/conv/(axes|engine|kernels|slab|weights|winograd)\\.h$"
   "/splat/bin\\.h$"
   "/rpc/gdal\\.h$"
   "/mesh/sampled_view\\.h$"
   "/scene/(ray_walk|satnerf)\\.h$"
   "/scene/simulate/(city|conditions|develop|dress|given|layout|noise|orbit|render|texture)\\.h$"
-  "/reconstruct/(cast|cell_mode|cell_surfels|cross_check|fusion|surface_input|trust)\\.h$"
+  "/reconstruct/(cast|cell_mode|cell_surfels|cross_check|fusion|narrow|surface_input|trust)\\.h$"
   "/train/(sample_batch)\\.h$"
   "/evaluate/(score_views|sight_lines)\\.h$")
 # Of the readers' room the engine has the cameras alone.

@@ -172,7 +172,7 @@ void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput&
   check_output_file("--confidence-figure", options.confidence_figure, output.overwrite, inputs);
   check_distinct({options.csv, output.json, options.confidence_csv, options.confidence_figure});
   const nn::Model model = nn::load_model(weights);
-  const std::optional<nn::Surface> network = nn::load_surface(weights);
+  const std::optional<nn::SurfaceModel> network = nn::load_surface(weights);
   std::optional<nn::Lpips> lpips;
   if (!options.lpips_weights.empty()) lpips.emplace(nn::Lpips::load(options.lpips_weights));
   Progress progress;
@@ -182,6 +182,7 @@ void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput&
   how.surface = options.surface;
   how.network = network ? &*network : nullptr;
   how.window = options.window;
+  how.range_above = options.range_above;
   how.mask_water = options.mask_water;
   how.meshes = options.meshes;
   how.lpips = lpips ? &*lpips : nullptr;

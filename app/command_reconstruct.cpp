@@ -223,6 +223,8 @@ nlohmann::json results_json(const reconstruct::Reconstruction& made, const scene
           {"vertical_datum", "WGS84 ellipsoid"},
           {"height_range", {user.range.height_range.low, user.range.height_range.high}},
           {"height_range_source", user.range.source},
+          {"height_range_searched",
+           {made.z_range.low + made.frame.h0, made.z_range.high + made.frame.h0}},
           {"lowest", summary.heights.low},
           {"highest", summary.heights.high},
           {"mean_confidence", mean_of(made.confidence)},
@@ -267,7 +269,7 @@ void run_reconstruct(const ReconstructCommand& options) {
   if (!options.dry_run)
     staged.emplace(OutputFolder::staged(options.out, options.overwrite, std::move(apart)));
   const nn::Model model = nn::load_model(weights);
-  const std::optional<nn::Surface> network = nn::load_surface(weights);
+  const std::optional<nn::SurfaceModel> network = nn::load_surface(weights);
   RunRecord record("reconstruct", config_json(options, weights), 0);
 
   Progress progress;

@@ -82,6 +82,7 @@ struct EvaluateDataConfig {
   Index views = 3, window = 512;
   evaluate::Registration registration = evaluate::Registration::none;
   reconstruct::Surface surface = reconstruct::Surface::automatic;
+  double range_above = 0;
   bool mask_water = true, meshes = true;
 
   template <class Self, class V>
@@ -96,6 +97,13 @@ struct EvaluateDataConfig {
             .unit = "px",
             .min = 64,
             .max = 4096});
+    v("range_above", s.range_above,
+      Field{.help = "added to the upper end of the scenes' height ranges: what a generous range "
+                    "costs",
+            .unit = "m",
+            .min = 0,
+            .max = 5000,
+            .flag = "--range-above"});
     v("mask_water", s.mask_water,
       Field{.help = "score cells of class 9 (water) as well", .flag = "--keep-water"});
     v("meshes", s.meshes,

@@ -126,8 +126,11 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
           {"resolution", "side of a cell, m"},
           {"crs", "EPSG code of the UTM zone"},
           {"vertical_datum", "of the heights"},
-          {"height_range", "lowest and highest height that were searched, m above the ellipsoid"},
+          {"height_range",
+           "lowest and highest height that were asked for or found, m above the "
+           "ellipsoid"},
           {"height_range_source", "where it came from"},
+          {"height_range_searched", "what was searched of it: less where it was generous"},
           {"lowest, highest", "of the surface, m above the ellipsoid"},
           {"mean_confidence", "0 to 1"},
           {"surfels", "how many"},

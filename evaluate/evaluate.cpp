@@ -182,6 +182,7 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
   for (Index i = 0; i < options.views; ++i) sources.push_back(i);
   scene::Scene seen = scene;
   seen.views.resize(static_cast<std::size_t>(options.views));
+  seen.z_range.high += options.range_above;
   const Tensor mask = scored_cells(scene, seen.views, options.mask_water);
 
   SceneScores out;

@@ -79,9 +79,10 @@ struct EvaluateOptions {
   Index window = 512;
   Registration registration = Registration::none;
   reconstruct::Surface surface = reconstruct::Surface::automatic;
-  const nn::Surface* network = nullptr;  ///< as in ReconstructOptions
-  bool mask_water = true;                ///< leave out cells of class 9
-  bool meshes = true;                ///< also compare meshes, which takes a few seconds per scene
+  const nn::SurfaceModel* network = nullptr;  ///< as in ReconstructOptions
+  double range_above = 0;  ///< added to the upper end of the height range of a reconstruction, m
+  bool mask_water = true;  ///< leave out cells of class 9
+  bool meshes = true;      ///< also compare meshes, which takes a few seconds per scene
   const nn::Lpips* lpips = nullptr;  ///< scores rendered targets too, if given
   std::function<void(const std::string& stage, double fraction)> progress;  ///< may be empty
 };

@@ -69,24 +69,8 @@ scene::Crop middle_window(const nn::Model& model, const scene::Scene& scene,
   return scene::make_crop(scene, window);
 }
 
-/// True heights of the sources, [stage][view] -> [h w], unknown where a pixel holds no image: there
-/// is nothing to find.
-std::vector<std::vector<Tensor>> findable_truth(const scene::Crop& crop) {
-  std::vector<std::vector<Tensor>> out(crop.source_truth.size());
-  for (std::size_t s = 0; s < out.size(); ++s)
-    for (std::size_t i = 0; i < crop.source_truth[s].size(); ++i) {
-      const Tensor& valid = crop.input.sources[i].valid;
-      Tensor z = crop.source_truth[s][i].clone();
-      const Index W = valid.dim(1), stride = W / z.dim(1);
-      for (Index p = 0; p < valid.count(); ++p)
-        if (valid[p] <= 0) z[p / W / stride * z.dim(1) + p % W / stride] = kNan;
-      out[s].push_back(z);
-    }
-  return out;
-}
-
 /// Heights in the sources and what the stages before the last have lost of them.
-/// truth  see `findable_truth`
+/// truth  see `scene::forget_unseen_truth`
 void score_sources(const nn::ModelConfig& config,
                    const std::array<nn::StageOutput<float>, 3>& stages,
                    const std::vector<std::vector<Tensor>>& truth, SceneScores& out,
@@ -142,9 +126,10 @@ double covered_share(const Tensor& alpha, const Tensor& valid) {
 void score_views(const nn::Model& model, const scene::Scene& scene, const EvaluateOptions& options,
                  const std::vector<Index>& sources, SceneScores& out,
                  ConfidenceScores* confidence) {
-  const scene::Crop crop = middle_window(model, scene, options, sources);
+  scene::Crop crop = middle_window(model, scene, options, sources);
+  scene::forget_unseen_truth(crop);
   const auto stages = model.forward(crop.input);
-  score_sources(model.config(), stages, findable_truth(crop), out, confidence);
+  score_sources(model.config(), stages, crop.source_truth, out, confidence);
   score_target(stages[2].surfels, crop, options.lpips, out);
 }
 

@@ -116,7 +116,7 @@ SurfaceOutput<T> SurfaceNet<T>::operator()(const SurfaceInput& input) const {
   return {cut(0, K, {K, H, W}), cut(K, K + 1, {H, W}), cut(K + 1, K + 2, {H, W})};
 }
 
-RefinedSurface refined(const Surface& network, const SurfaceInput& input) {
+RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
   const NoGrad no_grad;
   const SurfaceOutput<float> out = network(input);
   RefinedSurface surface{

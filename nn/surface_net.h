@@ -101,10 +101,10 @@ class SurfaceNet {
 
 /// A surface network with its own parameters.
 template <class T>
-class BasicSurface {
+class BasicSurfaceModel {
  public:
   /// Parameters are initialised from `seed`.
-  BasicSurface(const SurfaceConfig& config, std::uint64_t seed)
+  BasicSurfaceModel(const SurfaceConfig& config, std::uint64_t seed)
       : config_(config), parameters_(seed), net_(parameters_, config) {}
 
   const SurfaceConfig& config() const { return config_; }
@@ -118,7 +118,7 @@ class BasicSurface {
   ParameterSet<T> parameters_;
   SurfaceNet<T> net_;
 };
-using Surface = BasicSurface<float>;
+using SurfaceModel = BasicSurfaceModel<float>;
 
 /// A surface as the network made it.
 struct RefinedSurface {
@@ -127,6 +127,6 @@ struct RefinedSurface {
 };
 /// Applies a network.
 /// throws  ShapeError
-RefinedSurface refined(const Surface& network, const SurfaceInput& input);
+RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input);
 
 }  // namespace satsurf::nn

@@ -80,21 +80,21 @@ Mono load_mono(const std::filesystem::path& path) {
   return mono_from(load_safetensors(path), path.string());
 }
 
-void store_surface(TensorFile& file, const Surface& network) {
+void store_surface(TensorFile& file, const SurfaceModel& network) {
   file.metadata["format"] = kFormat;
   file.metadata["surface"] = to_json(network.config()).dump();
   network.parameters().store(file, kSurfacePrefix);
 }
 
-std::optional<Surface> surface_from(const TensorFile& file, const std::string& where) {
+std::optional<SurfaceModel> surface_from(const TensorFile& file, const std::string& where) {
   if (!file.metadata.contains("surface")) return std::nullopt;
   const auto c = config_from<SurfaceConfig>(file, "surface", "satsurf surface network", where);
-  std::optional<Surface> network(std::in_place, c, 0);
+  std::optional<SurfaceModel> network(std::in_place, c, 0);
   network->parameters().load(file, kSurfacePrefix, where);
   return network;
 }
 
-std::optional<Surface> load_surface(const std::filesystem::path& path) {
+std::optional<SurfaceModel> load_surface(const std::filesystem::path& path) {
   return surface_from(load_safetensors(path), path.string());
 }
 

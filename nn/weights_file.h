@@ -48,13 +48,13 @@ Mono load_mono(const std::filesystem::path& path);
 constexpr const char* kSurfacePrefix = "surface.";
 /// Adds a surface network to a file that may hold more: tensors `surface.*`, metadata `format` and
 /// `surface` (its configuration).
-void store_surface(TensorFile& file, const Surface& network);
+void store_surface(TensorFile& file, const SurfaceModel& network);
 /// The surface network in a file, if it has one; `where` begins the error texts.
 /// throws  IoError
-std::optional<Surface> surface_from(const TensorFile& file, const std::string& where);
+std::optional<SurfaceModel> surface_from(const TensorFile& file, const std::string& where);
 /// That of a weights or checkpoint file.
 /// throws  IoError
-std::optional<Surface> load_surface(const std::filesystem::path& path);
+std::optional<SurfaceModel> load_surface(const std::filesystem::path& path);
 
 /// Puts a trained monocular network into a model's branch.
 /// throws  IoError if the file holds none, or one of another configuration

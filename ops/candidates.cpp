@@ -4,6 +4,7 @@
 #include "satsurf/core/dims.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/weighted_sum.h"
 
 #include <algorithm>
 #include <array>
@@ -50,18 +51,6 @@ Size size_of(Dims& dim, const BasicVar<T>& logits, const BasicTensor<T>& candida
                      std::to_string(kMost) + " of them");
   return {dim["K"], dim["H"] * dim["W"]};
 }
-
-/// What a weighted mean is made of.
-struct Sums {
-  double loss = 0, weight = 0;
-  Sums& operator+=(const Sums& o) {
-    loss += o.loss;
-    weight += o.weight;
-    return *this;
-  }
-  double mean() const { return loss / total(); }
-  double total() const { return std::max(weight, 1e-12); }
-};
 
 /// The limits of a scale's logarithm: a hundredth of a unit, and a hundred and fifty.
 double limited(double log_scale) { return std::clamp(log_scale, -4.0, 5.0); }
@@ -142,8 +131,8 @@ BasicVar<T> laplace_loss(const BasicVar<T>& height, const BasicVar<T>& log_scale
       .match("weight", weight, "H W");
   const Index P = truth.count();
   const T *h = height.value().data(), *s = log_scale.value().data();
-  const Sums sums = ordered_reduce(P, kGrain, Sums{}, [&](Index begin, Index end) {
-    Sums piece;
+  const WeightedSum sums = ordered_reduce(P, kGrain, WeightedSum{}, [&](Index begin, Index end) {
+    WeightedSum piece;
     for (Index i = begin; i < end; ++i) {
       if (!(weight[i] > 0)) continue;
       const double w = static_cast<double>(weight[i]), log_b = limited(static_cast<double>(s[i])),
@@ -192,11 +181,11 @@ BasicVar<T> candidate_cross_entropy(const BasicVar<T>& logits, const BasicTensor
   };
   constexpr double kLeast = 1e-12;
   const T* l = logits.value().data();
-  const Sums sums = ordered_reduce(P, kGrain, Sums{}, [&](Index begin, Index end) {
-    Sums piece;
+  const WeightedSum sums = ordered_reduce(P, kGrain, WeightedSum{}, [&](Index begin, Index end) {
+    WeightedSum piece;
     each(l, begin, end, [&](Index, const Weights& p, const Weights& q, double w) {
       for (std::size_t k = 0; k < kMost; ++k)
-        if (q.w[k] > 0) piece.loss -= w * q.w[k] * std::log(p.w[k] + kLeast);
+        if (q.w[k] > 0) piece.sum -= w * q.w[k] * std::log(p.w[k] + kLeast);
       piece.weight += w;
     });
     return piece;

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/ops/weighted_sum.h"
 
 #include <algorithm>
 #include <cmath>
@@ -10,7 +11,7 @@
 namespace satsurf {
 namespace {
 
-constexpr double kLeastProbability = 1e-12, kLeastWeight = 1e-12;
+constexpr double kLeastProbability = 1e-12;
 
 /// The two hypotheses that a truth lies between, and the share of the upper one.
 struct Bins {
@@ -29,15 +30,6 @@ Bins bins_of(const T* column, Index D, Index stride, double truth) {
   const auto lower = std::min(static_cast<Index>(inside), D - 2);
   return {lower, lower + 1, inside - static_cast<double>(lower)};
 }
-
-struct Sums {
-  double loss = 0, weight = 0;
-  Sums& operator+=(const Sums& o) {
-    loss += o.loss;
-    weight += o.weight;
-    return *this;
-  }
-};
 
 }  // namespace
 
@@ -64,21 +56,22 @@ BasicVar<T> height_cross_entropy(const BasicVar<T>& probability, const BasicTens
     }
   };
   const T* p = probability.value().data();
-  const Sums sums = ordered_reduce(count, kGrain, Sums{}, [&](Index begin, Index end) {
-    Sums piece;
-    each(begin, end, [&](Index at, const Bins& b, double w) {
-      const auto log_of = [&](Index d) {
-        return std::log(static_cast<double>(p[at + d * P]) + kLeastProbability);
-      };
-      piece.loss -= w * ((1 - b.share) * log_of(b.lower) + b.share * log_of(b.upper));
-      piece.weight += w;
-    });
-    return piece;
-  });
-  const double total = std::max(sums.weight, kLeastWeight);
+  const WeightedSum sums =
+      ordered_reduce(count, kGrain, WeightedSum{}, [&](Index begin, Index end) {
+        WeightedSum piece;
+        each(begin, end, [&](Index at, const Bins& b, double w) {
+          const auto log_of = [&](Index d) {
+            return std::log(static_cast<double>(p[at + d * P]) + kLeastProbability);
+          };
+          piece.sum -= w * ((1 - b.share) * log_of(b.lower) + b.share * log_of(b.upper));
+          piece.weight += w;
+        });
+        return piece;
+      });
+  const double total = sums.total();
   return BasicVar<T>::record(
-      "height_cross_entropy", BasicTensor<T>::scalar(static_cast<T>(sums.loss / total)),
-      {probability}, [=](Node<T>& n) {
+      "height_cross_entropy", BasicTensor<T>::scalar(static_cast<T>(sums.mean())), {probability},
+      [=](Node<T>& n) {
         T* dp = n.grad_in(0);
         if (dp == nullptr) return;
         const T* values = n.in(0);

@@ -4,6 +4,7 @@
 #include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/loss_kernels.h"
+#include "satsurf/ops/weighted_sum.h"
 
 #include <algorithm>
 #include <string>
@@ -12,17 +13,6 @@ namespace satsurf {
 namespace {
 
 constexpr Index kGrain = 1 << 14;
-constexpr double kLeastWeight = 1e-12;  // no weight at all: the loss is 0, not 0 / 0
-
-struct Sums {
-  double loss = 0, weight = 0;
-  Sums& operator+=(const Sums& o) {
-    loss += o.loss;
-    weight += o.weight;
-    return *this;
-  }
-};
-
 template <class T>
 void check(const char* op, const char* name, const BasicTensor<T>& t, const Shape& x) {
   if (t.shape() != x)
@@ -40,14 +30,15 @@ BasicVar<T> weighted_mean(const char* op, const BasicVar<T>& x, const BasicTenso
     return t.empty() ? nullptr : t.data() + i;
   };
   const auto& kernels = active_kernels<LossKernels<T>>();
-  const Sums sums = ordered_reduce(x.count(), kGrain, Sums{}, [&](Index begin, Index end) {
-    double of_piece[2];
-    kernels.sums(distance, beta, end - begin, x.value().data() + begin, target.data() + begin,
-                 from(weight, begin), of_piece);
-    return Sums{of_piece[0], of_piece[1]};
-  });
-  const double total = std::max(sums.weight, kLeastWeight);
-  const auto out = BasicTensor<T>::scalar(static_cast<T>(sums.loss / total));
+  const WeightedSum sums =
+      ordered_reduce(x.count(), kGrain, WeightedSum{}, [&](Index begin, Index end) {
+        double of_piece[2];
+        kernels.sums(distance, beta, end - begin, x.value().data() + begin, target.data() + begin,
+                     from(weight, begin), of_piece);
+        return WeightedSum{of_piece[0], of_piece[1]};
+      });
+  const double total = sums.total();
+  const auto out = BasicTensor<T>::scalar(static_cast<T>(sums.mean()));
   return BasicVar<T>::record(op, out, {x}, [=](Node<T>& n) {
     T* dx = n.grad_in(0);
     if (dx == nullptr) return;

@@ -34,7 +34,7 @@ namespace satsurf::reconstruct {
 /// How a surface is made.
 struct ReconstructOptions {
   Surface surface = Surface::automatic;
-  const nn::Surface* network = nullptr;  ///< that refines; none for the other kinds
+  const nn::SurfaceModel* network = nullptr;  ///< that refines; none for the other kinds
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;

@@ -7,6 +7,7 @@
 #include "satsurf/ops/concat.h"
 #include "satsurf/reconstruct/cast.h"
 #include "satsurf/reconstruct/fusion.h"
+#include "satsurf/reconstruct/narrow.h"
 #include "satsurf/reconstruct/surface_input.h"
 #include "satsurf/reconstruct/trust.h"
 #include "satsurf/scene/crop.h"
@@ -144,6 +145,16 @@ void keep_surface(Reconstruction& out, FusedSurface surface, const scene::Scene&
   out.completeness = expected > 0 ? static_cast<double>(found) / static_cast<double>(expected) : 0;
 }
 
+/// The scene with the heights that are worth searching.
+scene::Scene narrowed(const nn::Model& model, const scene::Scene& scene,
+                      const ReconstructOptions& options) {
+  scene::Scene out = scene;
+  out.z_range = narrowed_range(model, scene, [&] {
+    if (options.progress) options.progress("network", 0);
+  });
+  return out;
+}
+
 /// The surfels of all tiles, and what fusing them needs.
 struct Gathered {
   splat::Surfels surfels;
@@ -179,6 +190,7 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
     if (t + 1 == plan.tiles.size()) out.images = whole_images(scene, plan, crop);
   }
   out.frame = scene.frame;
+  out.z_range = scene.z_range;
   out.tiles = static_cast<Index>(plan.tiles.size());
   out.voxel = plan.voxel;
   out.planned_memory_bytes = plan.memory_bytes;
@@ -196,7 +208,8 @@ nn::SurfaceInput input_of(const Gathered& all, const ReconstructPlan& plan,
 
 /// The surface as the network makes it. Its confidence is that of the surfels times the share of
 /// them that agree, 0 in the holes that the network filled.
-FusedSurface refined(const nn::Surface& network, const nn::SurfaceInput& input, Tensor& sigma) {
+FusedSurface refined(const nn::SurfaceModel& network, const nn::SurfaceInput& input,
+                     Tensor& sigma) {
   nn::RefinedSurface made = nn::refined(network, input);
   FusedSurface out{std::move(made.heights), Tensor::uninitialised(made.sigma.shape()), {}};
   sigma = std::move(made.sigma);
@@ -213,9 +226,10 @@ FusedSurface refined(const nn::Surface& network, const nn::SurfaceInput& input, 
 
 }  // namespace
 
-Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
+Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
                            const ReconstructOptions& options) {
   const NoGrad no_grad;
+  const scene::Scene scene = narrowed(model, whole, options);
   const ReconstructPlan plan = plan_reconstruction(model.config(), scene, options);
   check_memory(plan, scene);
   Reconstruction out;
@@ -249,9 +263,10 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& scene,
   return out;
 }
 
-UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& scene,
+UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& whole,
                                    const ReconstructOptions& options) {
   const NoGrad no_grad;
+  const scene::Scene scene = narrowed(model, whole, options);
   ReconstructOptions how = options;
   how.surface = Surface::plain;
   const ReconstructPlan plan = plan_reconstruction(model.config(), scene, how);

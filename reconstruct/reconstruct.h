@@ -11,7 +11,9 @@ namespace satsurf::reconstruct {
 /// A surface on a grid and the surfels behind it. Local x, y, z become easting, northing and height
 /// above the ellipsoid by adding the origin of `frame`.
 struct Reconstruction {
-  rpc::LocalFrame frame;   ///< the scene's: UTM zone and origin
+  rpc::LocalFrame frame;  ///< the scene's: UTM zone and origin
+  /// Heights that were searched, local m: the scene's, or less where those were generous.
+  rpc::HeightRange z_range;
   scene::HeightField dsm;  ///< local z in m, NaN where nothing was seen
   Tensor confidence;       ///< [H W] in [0, 1], NaN like the DSM
   Tensor sigma;            ///< [H W] m, NaN alike; only of a refined surface, else empty

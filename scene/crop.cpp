@@ -122,4 +122,21 @@ nn::PosedImage posed_image(const View& view, const nn::PosedImage& window,
           shift_pixels(window.pixel_from_local, {0, 0}, image_corner)};
 }
 
+double forget_unseen_truth(Crop& crop) {
+  Index known = 0, all = 0;
+  for (std::size_t i = 0; i < crop.input.sources.size(); ++i) {
+    const Tensor& valid = crop.input.sources[i].valid;
+    const Index W = valid.dim(1);
+    for (std::vector<Tensor>& stage : crop.source_truth) {
+      Tensor& z = stage[i];
+      const Index stride = W / z.dim(1);
+      for (Index p = 0; p < valid.count(); ++p)
+        if (!(valid[p] > 0)) z[p / W / stride * z.dim(1) + p % W / stride] = std::nanf("");
+    }
+    for (const float z : crop.source_truth.back()[i].values()) known += std::isfinite(z) ? 1 : 0;
+    all += valid.count();
+  }
+  return static_cast<double>(known) / static_cast<double>(all);
+}
+
 }  // namespace satsurf::scene

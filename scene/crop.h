@@ -45,6 +45,10 @@ struct CropOptions {
 /// camera is fitted over its window and the height range, once.
 Crop make_crop(const Scene& scene, const CropOptions& options);
 
+/// Makes true heights of sources unknown where a pixel holds no image: there is nothing to find.
+/// returns  the share of all source pixels that have an image and a known height
+double forget_unseen_truth(Crop& crop);
+
 /// A view as one window, with its camera fitted over the whole image.
 /// frame    of the result
 /// z_range  heights over which it is fitted, local m

@@ -130,9 +130,29 @@ std::vector<float> heights_of_patches(const Tensor& where, std::vector<char> bel
   return heights;
 }
 
-/// Lowest and highest height that is found more often than chance finds it. Chance matches are
-/// few and anywhere in the searched range; what lies outside the middle nine tenths shows how
-/// few.
+std::string names_of(const Scene& scene) {
+  std::string text;
+  for (std::size_t i = 0; i < scene.views.size(); ++i)
+    text += (i == 0 ? "" : i + 1 < scene.views.size() ? ", " : " and ") + scene.views[i].label();
+  return text;
+}
+
+/// Windows of an image with enough contrast to be compared.
+Index textured_windows(const Coarse& c) {
+  Tensor product(c.grey.shape());
+  for (Index i = 0; i < c.grey.count(); ++i) product[i] = c.grey[i] * c.grey[i];
+  const Tensor sum = box_sum(c.grey), sum2 = box_sum(product), n = box_sum(c.valid);
+  Index textured = 0;
+  for (Index i = 0; i < c.grey.count(); ++i) {
+    if (n[i] < kWhole) continue;
+    const float mean = sum[i] / n[i];
+    textured += sum2[i] / n[i] - mean * mean >= kTexture ? 1 : 0;
+  }
+  return textured;
+}
+
+}  // namespace
+
 rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched) {
   constexpr double kBin = 10;           // m
   constexpr double kLargestStep = 100;  // m with nothing in between; beyond it is another pattern
@@ -174,29 +194,6 @@ rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRa
       high = h;
   return {low, high};
 }
-
-std::string names_of(const Scene& scene) {
-  std::string text;
-  for (std::size_t i = 0; i < scene.views.size(); ++i)
-    text += (i == 0 ? "" : i + 1 < scene.views.size() ? ", " : " and ") + scene.views[i].label();
-  return text;
-}
-
-/// Windows of an image with enough contrast to be compared.
-Index textured_windows(const Coarse& c) {
-  Tensor product(c.grey.shape());
-  for (Index i = 0; i < c.grey.count(); ++i) product[i] = c.grey[i] * c.grey[i];
-  const Tensor sum = box_sum(c.grey), sum2 = box_sum(product), n = box_sum(c.valid);
-  Index textured = 0;
-  for (Index i = 0; i < c.grey.count(); ++i) {
-    if (n[i] < kWhole) continue;
-    const float mean = sum[i] / n[i];
-    textured += sum2[i] / n[i] - mean * mean >= kTexture ? 1 : 0;
-  }
-  return textured;
-}
-
-}  // namespace
 
 rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& searched,
                                    const std::function<void()>& poll) {

@@ -4,6 +4,7 @@
 #include "satsurf/scene/scene.h"
 
 #include <functional>
+#include <vector>
 
 namespace satsurf::scene {
 
@@ -14,5 +15,12 @@ namespace satsurf::scene {
 /// throws    Error naming the images that have no texture or do not agree anywhere
 rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& searched,
                                    const std::function<void()>& poll = {});
+
+/// Lowest and highest height that is found more often than chance finds it. Chance matches are
+/// few and anywhere in the searched range; what lies outside the middle nine tenths shows how
+/// few.
+/// heights   at least one, local m
+/// searched  range they were looked for in
+rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched);
 
 }  // namespace satsurf::scene

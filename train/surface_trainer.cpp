@@ -93,7 +93,7 @@ using LessonStream = Stream<SurfaceLesson>;
 /// The surface network and its objective.
 class SurfaceTask : public TrainingTask {
  public:
-  SurfaceTask(nn::Surface& network, const nn::Model& cascade, const SurfaceTrainConfig& config,
+  SurfaceTask(nn::SurfaceModel& network, const nn::Model& cascade, const SurfaceTrainConfig& config,
               LessonStream& lessons, std::uint64_t seed)
       : network_(network), cascade_(cascade), config_(config), lessons_(lessons), seed_(seed) {
     if (config.batch > 1) batch_.emplace(network, config.batch, seed);
@@ -109,12 +109,13 @@ class SurfaceTask : public TrainingTask {
   StepLoss loss(Index sample) const override { return loss(network_, sample); }
   StepLoss descend(Index step) override {
     if (!batch_) return TrainingTask::descend(step);
-    return batch_->descend(
-        step, [this](const nn::Surface& network, Index sample) { return loss(network, sample); });
+    return batch_->descend(step, [this](const nn::SurfaceModel& network, Index sample) {
+      return loss(network, sample);
+    });
   }
 
  private:
-  StepLoss loss(const nn::Surface& network, Index sample) const {
+  StepLoss loss(const nn::SurfaceModel& network, Index sample) const {
     Rng rng = Rng(seed_).fork(static_cast<std::uint64_t>(sample));
     // A lesson may have little to say where the images hardly overlap.
     constexpr int kTries = 5;
@@ -130,17 +131,17 @@ class SurfaceTask : public TrainingTask {
     return surface_loss(config_, network, window);
   }
 
-  nn::Surface& network_;
+  nn::SurfaceModel& network_;
   const nn::Model& cascade_;
   const SurfaceTrainConfig& config_;
   LessonStream& lessons_;
   std::uint64_t seed_;
-  std::optional<SampleBatch<nn::Surface>> batch_;
+  std::optional<SampleBatch<nn::SurfaceModel>> batch_;
 };
 
 }  // namespace
 
-StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::Surface& network,
+StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& network,
                       const SurfaceLesson& lesson) {
   const double unit = lesson.input.interval;
   const nn::SurfaceOutput<float> out = network(lesson.input);
@@ -188,8 +189,8 @@ SurfaceLesson window_of(const SurfaceLesson& lesson, Index size, Rng& rng) {
           cut(lesson.weight)};
 }
 
-nn::Surface train(const SurfaceTrainConfig& config, const fs::path& data, std::uint64_t seed,
-                  const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
+nn::SurfaceModel train(const SurfaceTrainConfig& config, const fs::path& data, std::uint64_t seed,
+                       const fs::path& checkpoint, const TrainingCallbacks& callbacks) {
   check_fields(config, "train");
   if (config.task != Task::surface)
     throw ConfigError("train: task is " + enum_name(config.task) + ", expected surface");
@@ -197,7 +198,7 @@ nn::Surface train(const SurfaceTrainConfig& config, const fs::path& data, std::u
     throw ConfigError("train: no cascades, expected weights of at least one");
   std::vector<nn::Model> cascades;
   for (const fs::path& file : config.cascades) cascades.push_back(nn::load_model(file));
-  nn::Surface network(config.surface, seed);
+  nn::SurfaceModel network(config.surface, seed);
   TrainingRun run{.seed = seed, .checkpoint = checkpoint};
   std::vector<scene::Scene> scenes;
   if (!data.empty()) {

@@ -76,7 +76,7 @@ struct SurfaceLesson {
 
 /// Likelihood, distance and choice, in which the terms are `height_mae` and `mode_mae` (of the
 /// densest mode, with the holes filled: what the network begins with), m.
-StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::Surface& network,
+StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& network,
                       const SurfaceLesson& lesson);
 
 /// A random square of a lesson in one of eight orientations; the whole of it along axes on which it
@@ -86,8 +86,8 @@ SurfaceLesson window_of(const SurfaceLesson& lesson, Index size, Rng& rng);
 /// Trains the surface network on reconstructions of a folder's scenes, or of scenes that are made up
 /// on the way; arguments as those of the cascade's `train`.
 /// throws  IoError, ConfigError
-nn::Surface train(const SurfaceTrainConfig& config, const std::filesystem::path& data,
-                  std::uint64_t seed, const std::filesystem::path& checkpoint,
-                  const TrainingCallbacks& callbacks);
+nn::SurfaceModel train(const SurfaceTrainConfig& config, const std::filesystem::path& data,
+                       std::uint64_t seed, const std::filesystem::path& checkpoint,
+                       const TrainingCallbacks& callbacks);
 
 }  // namespace satsurf::train

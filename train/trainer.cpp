@@ -115,19 +115,7 @@ scene::Crop cut_sample(const TrainConfig& config, const DrawScene& draw, std::ui
                                     .size = config.crop,
                                     .z_range = {low, high},
                                     .with_truth = true});
-    Index known = 0, all = 0;
-    for (std::size_t i = 0; i < N; ++i)
-      for (Index p = 0; p < config.crop * config.crop; ++p, ++all) {
-        const bool seen = crop.input.sources[i].valid[p] > 0;
-        if (!seen)
-          for (std::size_t s = 0; s < 3; ++s) {  // no image, no lesson
-            const Index stride = Index{4} >> s, w = config.crop / stride;
-            crop.source_truth[s][i][(p / config.crop / stride) * w + p % config.crop / stride] =
-                std::nanf("");
-          }
-        known += seen && std::isfinite(crop.source_truth[2][i][p]) ? 1 : 0;
-      }
-    if (static_cast<double>(known) >= kEnough * static_cast<double>(all)) break;
+    if (scene::forget_unseen_truth(crop) >= kEnough) break;
   }
   const Radiometry radiometry = random_radiometry(config.radiometry, config.grey_share, rng);
   for (nn::PosedImage& v : crop.input.sources) apply(radiometry, v);

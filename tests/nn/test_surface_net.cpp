@@ -35,7 +35,7 @@ bool same_bits(const Tensor& a, const Tensor& b) {
 }  // namespace
 
 TEST_CASE("the surface network takes surfaces of any size and keeps to the candidates") {
-  const Surface network({.base = 3}, 1);
+  const SurfaceModel network({.base = 3}, 1);
   for (const auto& [H, W] : {std::pair<Index, Index>{32, 48}, {37, 19}, {1, 1}, {5, 2}}) {
     CAPTURE(H);
     SurfaceInput input = some_input(std::max<Index>(H, 3), std::max<Index>(W, 3));
@@ -61,7 +61,7 @@ TEST_CASE("the surface network takes surfaces of any size and keeps to the candi
 }
 
 TEST_CASE("a cell's height does not depend on the surface far away, nor on the threads") {
-  const Surface network({.base = 4}, 2);
+  const SurfaceModel network({.base = 4}, 2);
   const SurfaceInput whole = some_input(64, 400);
   SurfaceInput part{Tensor({kSurfaceCandidates, 64, 208}), Tensor({kSurfacePlanes, 64, 208}),
                     whole.interval};
@@ -91,7 +91,7 @@ TEST_CASE("a cell's height does not depend on the surface far away, nor on the t
 }
 
 TEST_CASE("surface network: gradients in double") {
-  BasicSurface<double> network({.base = 2}, 3);
+  BasicSurfaceModel<double> network({.base = 2}, 3);
   const SurfaceInput input = some_input(18, 21);
   BasicTensor<double> z = input.candidates.cast<double>();
   const auto objective = [&] {
@@ -129,7 +129,7 @@ TEST_CASE("surface network: gradients in double") {
 
 TEST_CASE("a file may hold a surface network beside others") {
   const test::TempFolder folder("surface-net");
-  Surface network({.base = 5}, 7);
+  SurfaceModel network({.base = 5}, 7);
   TensorFile file;
   store_surface(file, network);
   save_safetensors(folder / "with.safetensors", file);
@@ -146,7 +146,7 @@ TEST_CASE("a file may hold a surface network beside others") {
 }
 
 TEST_CASE("the surface network refuses what does not fit") {
-  const Surface network({.base = 2}, 1);
+  const SurfaceModel network({.base = 2}, 1);
   SurfaceInput input = some_input(8, 8);
   input.planes = Tensor({3, 8, 8});
   CHECK_THROWS_AS(refined(network, input), ShapeError);

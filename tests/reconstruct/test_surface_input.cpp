@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/rng.h"
+#include "satsurf/reconstruct/cast.h"
 #include "satsurf/reconstruct/cell_mode.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/surface_input.h"
@@ -144,7 +145,7 @@ TEST_CASE("a refined surface has a height and an expected error in every cell wi
   const scene::SimulatedScene made = test::village(96, 3);
   const test::HeldImages held(made);
   const nn::Model model(nn::model_preset("tiny"), 3);
-  const nn::Surface network({.base = 3}, 5);
+  const nn::SurfaceModel network({.base = 3}, 5);
   const scene::UserScene user = scene::scene_from_images(held.images(), test::range_of(made));
   ReconstructOptions how;
   how.network = &network;
@@ -170,4 +171,41 @@ TEST_CASE("a refined surface has a height and an expected error in every cell wi
   how.surface = Surface::refined, how.network = nullptr;
   CHECK_THROWS_WITH_AS(reconstruct::reconstruct(model, user.scene, how),
                        "surface is refined, expected weights with a surface network", ConfigError);
+}
+
+TEST_CASE("surfels are cast along their rays onto the surface they first meet") {
+  // A wall from 0 to 4 m at x = 0; rays from the east lean by half a metre per metre of height.
+  scene::HeightField surface{Tensor({8, 16}), -8, 4, 1};
+  for (Index i = 0; i < 8; ++i)
+    for (Index j = 0; j < 8; ++j) surface.z[16 * i + j] = 4;
+  surface.z[16 * 3 + 12] = std::nanf("");  // x 4 to 5, y 0 to 1
+  const auto cast = [&](std::vector<float> places, std::vector<float> rays) {
+    const Index n = std::ssize(places) / 3;
+    splat::Surfels surfels;
+    surfels.means = Var(Tensor::from({n, 3}, places));
+    surfels.quats = Var(Tensor({n, 4}, 1.f));
+    surfels.scales = Var(Tensor({n, 2}, 1.f));
+    surfels.opacity = Var(Tensor({n}, 1.f));
+    surfels.colours = Var(Tensor({n, 3}));
+    for (Index k = 0; k < n; ++k) surfels.colours.mutable_value()[3 * k] = static_cast<float>(k);
+    surfels.aux = Var(Tensor({n, 1}));
+    return cast_on(surfels, Tensor::from({n, 2}, rays), surface);
+  };
+  const splat::Surfels out =
+      cast({2, 0.5, 3, -4, 0.5, 9, 4.5, 0.5, 2, 1, -2.5, 0}, {0.5, 0, 0, 0, 0, 0, 0.5, 0});
+  const Tensor &p = out.means.value(), &c = out.colours.value();
+  REQUIRE(p.shape() == Shape{3, 3});  // the third looks at what nobody knows
+  CHECK(c[0] == 0);
+  CHECK(c[3] == 1);
+  CHECK(c[6] == 3);
+  CHECK(p[0] == doctest::Approx(0.5));  // down to the ground: x = 2 - 3 / 2
+  CHECK(p[2] == doctest::Approx(0));
+  CHECK(p[3] == doctest::Approx(-4));  // straight down onto the roof
+  CHECK(p[5] == doctest::Approx(4));
+  CHECK(p[6] == doctest::Approx(1));  // it lay on the surface before
+  CHECK(p[8] == doctest::Approx(0));
+  // A ray that passes behind the wall's edge ends on the wall.
+  const splat::Surfels wall = cast({-1, 0.5, 0}, {0.5, 0});
+  CHECK(wall.means.value()[0] == doctest::Approx(0).epsilon(1e-6));
+  CHECK(wall.means.value()[2] == doctest::Approx(2));
 }

@@ -93,7 +93,7 @@ TEST_CASE("surface training: resumed on other threads it is the same, byte for b
 TEST_CASE("the surface network learns which candidate the images agree about") {
   SurfaceTrainConfig config = tiny(1);
   const SurfaceLesson lesson = made_up(48);
-  nn::Surface network(config.surface, 2);
+  nn::SurfaceModel network(config.surface, 2);
   const double before = surface_loss(config, network, lesson).terms[0].second;
   CHECK(surface_loss(config, network, lesson).terms[1].second == doctest::Approx(3).epsilon(0.05));
   nn::AdamW optimiser(network.parameters(), {});

@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/reconstruct/narrow.h"
+
+#include "satsurf/nn/confidence.h"
+#include "satsurf/nn/hypotheses.h"
+#include "satsurf/ops/resize.h"
+#include "satsurf/reconstruct/cross_check.h"
+#include "satsurf/rpc/fit.h"
+#include "satsurf/scene/crop.h"
+#include "satsurf/scene/height_range.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <utility>
+#include <vector>
+
+namespace satsurf::reconstruct {
+namespace {
+
+constexpr Index kMostPixels = 384;  // side of the images that are looked at first
+constexpr double kLeastFactor = 4;
+
+/// The scene with smaller images.
+scene::Scene smaller(const scene::Scene& scene, Index factor) {
+  scene::Scene out;
+  out.frame = scene.frame, out.z_range = scene.z_range;
+  for (const scene::View& v : scene.views) {
+    const Index H = v.height() / factor * factor, W = v.width() / factor * factor;
+    scene::View view;
+    Tensor rgb({1, 3, H, W}), valid({1, 1, H, W});
+    for (Index i = 0; i < H; ++i) {
+      for (Index c = 0; c < 3; ++c)
+        std::copy_n(v.rgb.data() + (c * v.height() + i) * v.width(), W,
+                    rgb.data() + (c * H + i) * W);
+      std::copy_n(v.valid.data() + i * v.width(), W, valid.data() + i * W);
+    }
+    view.rgb =
+        area_downsample(Var(std::move(rgb)), factor).value().reshaped({3, H / factor, W / factor});
+    view.valid =
+        area_downsample(Var(std::move(valid)), factor).value().reshaped({H / factor, W / factor});
+    for (float& x : view.valid.values()) x = x < 1 ? 0.f : 1.f;
+    view.rpc = v.rpc.resized(1 / static_cast<double>(factor));
+    out.views.push_back(std::move(view));
+  }
+  return out;
+}
+
+/// The ground point in the middle of the first view.
+std::array<double, 3> middle_of(const scene::Scene& scene) {
+  const scene::View& v = scene.views[0];
+  const double z = scene.z_range.middle();
+  const auto p = scene.frame.local_from_geodetic(
+      v.rpc.localize({0.5 * static_cast<double>(v.width()), 0.5 * static_cast<double>(v.height())},
+                     z + scene.frame.h0));
+  return {p[0], p[1], z};
+}
+
+/// Pixels of parallax per metre of height of the pair that has most.
+double most_parallax(const scene::Scene& scene) {
+  std::vector<rpc::PixelJacobian> cameras;
+  for (const scene::View& v : scene.views)
+    cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, middle_of(scene)));
+  double most = 0;
+  for (const auto& a : cameras)
+    for (const auto& b : cameras)
+      most = std::max(most, std::hypot(a[0][2] - b[0][2], a[1][2] - b[1][2]));
+  return most;
+}
+
+/// The heights on which a pixel that is rather sure and another view agree.
+std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& heights,
+                                  const Tensor& confidence) {
+  constexpr float kSure = 0.3f;
+  const CrossCheck check(input, heights);
+  const Index P = heights.dim(1) * heights.dim(2);
+  const double within = 2 / nn::mean_parallax(input);  // m of two pixels
+  std::vector<float> out;
+  for (std::size_t i = 0; i < input.sources.size(); ++i)
+    for (Index p = 0; p < P; ++p) {
+      if (!(input.sources[i].valid[p] > 0)) continue;
+      if (!(confidence[static_cast<Index>(i) * P + p] >= kSure)) continue;
+      const double z = check.height(i, p);
+      bool agrees = false;
+      for (std::size_t j = 0; j < input.sources.size() && !agrees; ++j) {
+        const Index there = j == i ? -1 : check.landing(i, j, p, z);
+        agrees = there >= 0 && std::abs(check.height(j, there) - z) < within;
+      }
+      if (agrees) out.push_back(static_cast<float>(z));
+    }
+  return out;
+}
+
+}  // namespace
+
+rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
+                                const std::function<void()>& poll) {
+  constexpr double kApart = 0.5;  // stage pixels between the first stage's hypotheses
+  constexpr int kLooks = 3;
+  constexpr std::size_t kFewest = 200;
+  constexpr double kBelow = 10, kAbove = 20;  // m
+  const double hypotheses = static_cast<double>(model.config().hypotheses[0]),
+               stride = static_cast<double>(nn::kStrides[0]),
+               most = kApart * stride * hypotheses / most_parallax(scene);
+  if (scene.z_range.span() <= most) return scene.z_range;
+
+  Index largest = 0;
+  for (const scene::View& v : scene.views) largest = std::max({largest, v.height(), v.width()});
+  const auto factor = static_cast<Index>(std::max(
+      kLeastFactor, std::ceil(static_cast<double>(largest) / static_cast<double>(kMostPixels))));
+  scene::Scene small = smaller(scene, factor);
+  const Index multiple = nn::size_multiple(model.config());
+  std::vector<Index> sources(small.views.size());
+  std::iota(sources.begin(), sources.end(), Index{0});
+  // The narrower the range the fewer are wrong, so that the next look may narrow it further.
+  for (int look = 0; look < kLooks && small.z_range.span() > most; ++look) {
+    const rpc::HeightRange& range = small.z_range;
+    const scene::Crop crop =
+        scene::make_crop(small, {.sources = sources,
+                                 .centre = middle_of(small),
+                                 .size = (largest / factor + multiple - 1) / multiple * multiple,
+                                 .z_range = range});
+    const auto stages = model.forward(crop.input, poll, nullptr, nn::Wanted::heights);
+    std::vector<float> agreed = agreed_heights(crop.input, stages[2].height.value(),
+                                               nn::effective_confidence(model.config(), stages[2]));
+    if (agreed.size() < kFewest) break;
+    const rpc::HeightRange found = scene::believable_span(std::move(agreed), range);
+    const rpc::HeightRange next{std::max(range.low, found.low - kBelow),
+                                std::min(range.high, found.high + kAbove)};
+    const bool done = next.span() > 0.9 * range.span();
+    small.z_range = next;
+    if (done) break;
+  }
+  return small.z_range;
+}
+
+}  // namespace satsurf::reconstruct

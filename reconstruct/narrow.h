@@ -1,0 +1,23 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/nn/model.h"
+#include "satsurf/scene/scene.h"
+
+#include <functional>
+
+namespace satsurf::reconstruct {
+
+/// Heights that a scene's surface lies between, of a range that may be far too generous: the first
+/// stage shares its hypotheses out over all of it, and what it wastes on empty air it lacks on the
+/// surface. Where they would be more than half a stage pixel of parallax apart, the images are
+/// looked at in a quarter of their resolution or less first, up to three times, and the range that
+/// remains is the believable span (`scene::believable_span`) of the heights on which two views
+/// agree there, with a margin of 20 m above and 10 m below. Else, or where hardly anything agrees,
+/// it is the scene's own range.
+/// poll     called between layers, may throw to stop
+/// returns  a part of `scene.z_range`, local m
+rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
+                                const std::function<void()>& poll = {});
+
+}  // namespace satsurf::reconstruct

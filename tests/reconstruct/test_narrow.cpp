@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/nn/weights_file.h"
+#include "satsurf/reconstruct/narrow.h"
+#include "satsurf/scene/height_range.h"
+
+#include <vector>
+
+#include "tests/reconstruct/simulated.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::reconstruct;
+
+namespace {
+
+scene::Scene village_scene(Index pixels, const rpc::HeightRange& height_range) {
+  const test::HeldImages held(test::village(pixels, 3));
+  return scene::scene_from_images(held.images(), height_range).scene;
+}
+
+}  // namespace
+
+TEST_CASE("a height range that is not generous stays what it is") {
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  const scene::Scene scene = village_scene(96, test::range_of(test::village(96, 3)));
+  CHECK(narrowed_range(model, scene) == scene.z_range);
+}
+
+TEST_CASE("a height range that is far too generous is narrowed to what holds the surface") {
+  const scene::SimulatedScene made = test::village(320, 3);
+  const rpc::HeightRange truth{made.h_min, made.h_max};
+  const nn::Model model = nn::load_model(SATSURF_TEST_WEIGHTS);
+  for (const auto& [below, above] : {std::pair(0.0, 425.0), {150.0, 420.0}}) {
+    CAPTURE(below);
+    CAPTURE(above);
+    const scene::Scene scene = village_scene(320, {truth.low - 2 - below, truth.high + 2 + above});
+    const rpc::HeightRange found = scene.frame.heights_from_z(narrowed_range(model, scene)),
+                           whole = scene.frame.heights_from_z(scene.z_range);
+    CHECK(found.low >= whole.low);
+    CHECK(found.high <= whole.high);
+    CHECK(found.low <= truth.low);
+    CHECK(found.high >= truth.high);
+    CHECK(found.span() < truth.span() + 60);
+  }
+}
+
+TEST_CASE("the believable span leaves out what chance finds") {
+  std::vector<float> heights(2000, 10.f);
+  for (int k = 0; k < 500; ++k) heights.push_back(static_cast<float>(k) / 25);  // 0 to 20 m
+  for (int k = 0; k < 40; ++k) heights.push_back(static_cast<float>(37 * k % 900));
+  const rpc::HeightRange span = scene::believable_span(heights, {-100, 900});
+  CHECK(span.low == doctest::Approx(0).epsilon(0.05));
+  CHECK(span.high > 18);
+  CHECK(span.high < 30);
+}
