@@ -27,6 +27,7 @@
 #include "satsurf/scene/scene.h"
 #include "satsurf/scene/simulate/scene.h"
 #include "satsurf/scene/user_images.h"
+#include "satsurf/scene/validity.h"
 #include "satsurf/scene/view_geometry.h"
 #include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/trainer.h"

@@ -69,6 +69,14 @@ void note_range(const scene::RangeChoice& choice, Progress& progress) {
                             choice.height_range.low, choice.height_range.high, choice.source));
 }
 
+/// Says which images have a border that nobody had declared.
+void note_borders(const scene::Scene& scene, Progress& progress) {
+  for (const scene::View& view : scene.views)
+    if (view.border > 0)
+      progress.note(fmt::format("{}: a border of one value, {:.1f} % of the image, is left out",
+                                view.label(), 100 * view.border));
+}
+
 /// Warns of cameras that their quadratics do not follow well enough.
 void warn_of_fit(const reconstruct::Reconstruction& made, Progress& progress) {
   constexpr double kWorst = 0.1;  // px; more shows in the heights
@@ -277,11 +285,12 @@ void run_reconstruct(const ReconstructCommand& options) {
   const auto poll = [] {
     if (interrupted()) throw Interrupted{};
   };
-  const scene::UserScene user =
-      scene::scene_from_views(options.images, options.image_dirs, height_range, poll);
+  const scene::UserScene user = scene::scene_from_views(
+      options.images, options.image_dirs, height_range, poll, {.nodata = options.nodata});
   poll();
   const scene::Scene& scene = user.scene;
   note_range(user.range, progress);
+  note_borders(scene, progress);
   if (staged) {
     std::vector<fs::path> inputs{weights};
     for (const scene::View& view : scene.views)

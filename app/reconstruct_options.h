@@ -34,6 +34,7 @@ inline Field surface_field() {
 /// What a surface depends on: a run's record repeats it, images included.
 struct ReconstructConfig {
   std::vector<std::filesystem::path> images, image_dirs;
+  std::vector<double> nodata;     ///< values that say nothing, besides those the files declare
   std::filesystem::path weights;  ///< empty for the shipped ones
   OptionalPair height_range;      ///< m above the ellipsoid
   reconstruct::Surface surface = reconstruct::Surface::automatic;
@@ -52,6 +53,10 @@ struct ReconstructConfig {
       Field{.help = "where else to look for the images JSON files name",
             .flag = "--image-dir",
             .placeholder = "DIR"});
+    v("nodata", s.nodata,
+      Field{.help = "values of pixels that say nothing, where every band has one; borders of one "
+                    "value are found without being named",
+            .automatic = "what the files declare"});
     v("weights", s.weights,
       Field{.help = "network weights", .automatic = "the shipped ones, or SATSURF_WEIGHTS"});
     v("height_range", s.height_range,

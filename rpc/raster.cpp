@@ -4,16 +4,12 @@
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/rpc/gdal.h"
 
-#include <algorithm>
-#include <atomic>
 #include <cmath>
-#include <cstdint>
 #include <cstdio>
 #include <fstream>
 #include <limits>
 #include <sstream>
 
-#include <cpl_vsi.h>
 #include <ogr_spatialref.h>
 
 namespace satsurf::rpc {
@@ -21,78 +17,16 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string digits(double value) {
-  char text[40];
-  std::snprintf(text, sizeof text, "%.17g", value);
-  return text;
-}
-
-/// A GeoTIFF built in memory, so that the disk only ever sees the finished file.
-class MemoryTiff {
- public:
-  MemoryTiff(const fs::path& path, int width, int height, int bands, GDALDataType type,
-             const std::vector<const char*>& options)
-      : path_(path) {
-    static std::atomic<unsigned> count{0};
-    name_ = "/vsimem/satsurf_" + std::to_string(count++) + ".tif";
-    char** list = nullptr;
-    for (const char* o : options) list = CSLAddString(list, o);
-    GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
-    if (driver) dataset_.reset(driver->Create(name_.c_str(), width, height, bands, type, list));
-    CSLDestroy(list);
-    if (!dataset_) fail();
-  }
-  ~MemoryTiff() {
-    dataset_.reset();
-    VSIUnlink(name_.c_str());
-  }
-  MemoryTiff(const MemoryTiff&) = delete;
-  MemoryTiff& operator=(const MemoryTiff&) = delete;
-
-  GDALDataset* operator->() { return dataset_.get(); }
-  void check(CPLErr result) const {
-    if (result != CE_None) fail();
-  }
-  /// Finishes the file and puts it in its place.
-  void save() {
-    CPLErrorReset();
-    dataset_.reset();
-    if (CPLGetLastErrorType() >= CE_Failure) fail();
-    vsi_l_offset size = 0;
-    const auto* bytes = VSIGetMemFileBuffer(name_.c_str(), &size, FALSE);
-    if (!bytes) fail();
-    atomic_write(path_, std::string_view(reinterpret_cast<const char*>(bytes),
-                                         static_cast<std::size_t>(size)));
-  }
-
- private:
-  [[noreturn]] void fail() const {
-    throw IoError(path_.string() + ": the GeoTIFF cannot be made; " + gdal_error());
-  }
-  fs::path path_;
-  std::string name_;
-  DatasetPtr dataset_;
-};
-
-struct Extents {
-  Index C, H, W;
-};
-Extents extents_of(const char* where, const Tensor& values, bool planes_only) {
-  const Shape& s = values.shape();
-  const bool planes = s.rank() == 3;
-  if (values.empty() || !(planes || (s.rank() == 2 && !planes_only)) || s.count() == 0)
-    throw ShapeError(std::string(where) + ": values " + (values.empty() ? "[]" : s.str()) +
-                     ", expected " + (planes_only ? "[C H W]" : "[H W] or [C H W]"));
-  return planes ? Extents{s[0], s[1], s[2]} : Extents{1, s[0], s[1]};
-}
-
-OGRSpatialReference system_of(int epsg) {
-  OGRSpatialReference crs;
-  if (crs.importFromEPSG(epsg) != OGRERR_NONE)
-    throw Error("EPSG:" + std::to_string(epsg) +
-                ": not a known reference system, expected a projected one");
-  crs.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
-  return crs;
+/// What a raster says of its heights.
+HeightDatum heights_of(const OGRSpatialReference* crs,
+                       const std::map<std::string, std::string>& metadata) {
+  const char* code = crs && crs->IsCompound() ? crs->GetAuthorityCode("VERT_CS") : nullptr;
+  const auto text = metadata.find("VERTICAL_DATUM");
+  for (const HeightDatum datum : {HeightDatum::ellipsoid, HeightDatum::egm96, HeightDatum::egm2008})
+    if ((code && std::atoi(code) == height_epsg(datum)) ||
+        (!code && text != metadata.end() && text->second == datum_text(datum)))
+      return datum;
+  return HeightDatum::none;
 }
 
 int epsg_of(const OGRSpatialReference& crs) {
@@ -164,51 +98,6 @@ GeoGrid grid_of(const fs::path& path, GDALDataset& d, const std::optional<UtmZon
 
 }  // namespace
 
-GeoTags ellipsoidal_height(const std::string& description) {
-  return {"m", description, {}, {{"VERTICAL_DATUM", "WGS84 ellipsoid"}}};
-}
-
-void write_geo_raster(const fs::path& path, const Tensor& values, const GeoGrid& grid,
-                      const GeoTags& tags) {
-  const auto [C, H, W] = extents_of("write_geo_raster", values, false);
-  if (!(grid.step > 0))
-    throw Error("write_geo_raster: cells of " + digits(grid.step) + " m, expected a positive size");
-  if (!tags.band_names.empty() && static_cast<Index>(tags.band_names.size()) != C)
-    throw Error("write_geo_raster: " + std::to_string(tags.band_names.size()) +
-                " band names, expected " + std::to_string(C));
-  const GdalScope scope;
-  const auto w = static_cast<int>(W), h = static_cast<int>(H);
-  MemoryTiff tiff(
-      path, w, h, static_cast<int>(C), GDT_Float32,
-      {"TILED=YES", "COMPRESS=DEFLATE", "PREDICTOR=3", "INTERLEAVE=BAND", "BIGTIFF=IF_SAFER"});
-  if (grid.epsg != 0) {
-    const OGRSpatialReference crs = system_of(grid.epsg);
-    tiff.check(tiff->SetSpatialRef(&crs));
-  }
-  std::array<double, 6> transform{grid.x0, grid.step, 0, grid.y0, 0, -grid.step};
-  tiff.check(tiff->SetGeoTransform(transform.data()));
-  tiff.check(tiff->SetMetadataItem("AREA_OR_POINT", "Area"));
-  if (!tags.description.empty())
-    tiff.check(tiff->SetMetadataItem("TIFFTAG_IMAGEDESCRIPTION", tags.description.c_str()));
-  for (const auto& [key, value] : tags.metadata)
-    tiff.check(tiff->SetMetadataItem(key.c_str(), value.c_str()));
-
-  std::vector<float> plane(static_cast<std::size_t>(H * W));
-  for (Index c = 0; c < C; ++c) {
-    GDALRasterBand* band = tiff->GetRasterBand(static_cast<int>(c) + 1);
-    tiff.check(band->SetNoDataValue(static_cast<double>(kNodata)));
-    if (!tags.unit.empty()) tiff.check(band->SetUnitType(tags.unit.c_str()));
-    if (!tags.band_names.empty())
-      band->SetDescription(tags.band_names[static_cast<std::size_t>(c)].c_str());
-    const float* from = values.data() + c * H * W;
-    std::transform(from, from + H * W, plane.begin(),
-                   [](float v) { return std::isfinite(v) ? v : kNodata; });
-    tiff.check(
-        band->RasterIO(GF_Write, 0, 0, w, h, plane.data(), w, h, GDT_Float32, 0, 0, nullptr));
-  }
-  tiff.save();
-}
-
 GeoRaster read_geo_raster(const fs::path& path, const std::optional<UtmZone>& zone) {
   const GdalScope scope;
   const DatasetPtr d = open_raster(path);
@@ -237,6 +126,9 @@ GeoRaster read_geo_raster(const fs::path& path, const std::optional<UtmZone>& zo
   out.tags.metadata = metadata_of(*d, "");
   if (const auto text = out.tags.metadata.extract("TIFFTAG_IMAGEDESCRIPTION"))
     out.tags.description = text.mapped();
+  if (const auto text = out.tags.metadata.extract("TIFFTAG_SOFTWARE"))
+    out.tags.software = text.mapped();
+  out.tags.heights = heights_of(d->GetSpatialRef(), out.tags.metadata);
   return out;
 }
 
@@ -246,48 +138,6 @@ void write_dfc_grid(const fs::path& path, const GeoGrid& grid, Index size) {
                 grid.y0 - static_cast<double>(size) * grid.step, static_cast<double>(size),
                 grid.step);
   atomic_write(path, text);
-}
-
-void write_rpc_geotiff(const fs::path& path, const Tensor& pixels, PixelType type, const Rpc& rpc,
-                       const std::map<std::string, std::string>& metadata) {
-  const auto [C, H, W] = extents_of("write_rpc_geotiff", pixels, true);
-  const GdalScope scope;
-  const auto w = static_cast<int>(W), h = static_cast<int>(H), bands = static_cast<int>(C);
-  const bool wide = type == PixelType::uint16;
-  MemoryTiff tiff(path, w, h, bands, wide ? GDT_UInt16 : GDT_Byte,
-                  {"TILED=YES", "COMPRESS=DEFLATE", "PREDICTOR=2", "INTERLEAVE=PIXEL",
-                   "BIGTIFF=IF_SAFER", C == 3 ? "PHOTOMETRIC=RGB" : "PHOTOMETRIC=MINISBLACK"});
-  char** items = nullptr;
-  const auto add = [&](const char* key, const std::string& value) {
-    items = CSLSetNameValue(items, key, value.c_str());
-  };
-  const auto add_list = [&](const char* key, const std::array<double, 20>& values) {
-    std::string text;
-    for (const double v : values) text += digits(v) + " ";
-    add(key, text);
-  };
-  add("ERR_BIAS", "-1"), add("ERR_RAND", "-1");  // unknown
-  add("LINE_OFF", digits(rpc.line_off)), add("SAMP_OFF", digits(rpc.samp_off));
-  add("LAT_OFF", digits(rpc.lat_off)), add("LONG_OFF", digits(rpc.lon_off));
-  add("HEIGHT_OFF", digits(rpc.height_off)), add("HEIGHT_SCALE", digits(rpc.height_scale));
-  add("LINE_SCALE", digits(rpc.line_scale)), add("SAMP_SCALE", digits(rpc.samp_scale));
-  add("LAT_SCALE", digits(rpc.lat_scale)), add("LONG_SCALE", digits(rpc.lon_scale));
-  add_list("LINE_NUM_COEFF", rpc.line_num), add_list("LINE_DEN_COEFF", rpc.line_den);
-  add_list("SAMP_NUM_COEFF", rpc.samp_num), add_list("SAMP_DEN_COEFF", rpc.samp_den);
-  const CPLErr set = tiff->SetMetadata(items, "RPC");
-  CSLDestroy(items);
-  tiff.check(set);
-  for (const auto& [key, value] : metadata)
-    tiff.check(tiff->SetMetadataItem(key.c_str(), value.c_str()));
-
-  const float top = wide ? 65535.0F : 255.0F;
-  std::vector<std::uint16_t> whole(static_cast<std::size_t>(pixels.count()));
-  std::transform(pixels.data(), pixels.data() + pixels.count(), whole.begin(), [&](float v) {
-    return static_cast<std::uint16_t>(v > 0 ? std::lround(std::min(v, top)) : 0);  // NaN becomes 0
-  });
-  tiff.check(tiff->RasterIO(GF_Write, 0, 0, w, h, whole.data(), w, h, GDT_UInt16, bands, nullptr, 0,
-                            0, 0, nullptr));
-  tiff.save();
 }
 
 }  // namespace satsurf::rpc

@@ -20,22 +20,43 @@ struct GeoGrid {
   friend bool operator==(const GeoGrid&, const GeoGrid&) = default;
 };
 
+/// What heights are above; none for values that are no heights.
+enum class HeightDatum { none, ellipsoid, egm96, egm2008 };
+/// In words: "WGS84 ellipsoid", "EGM96 geoid", "EGM2008 geoid"; empty for none.
+const char* datum_text(HeightDatum datum);
+/// EPSG code of the vertical system of a geoid; 0 for the others, which need none.
+int height_epsg(HeightDatum datum);
+
+/// How cells are stored.
+enum class CellType { float32, uint8, uint16 };
+
+constexpr float kNodata = -9999;  ///< written for NaN in Float32, and declared
+
 /// What else a GeoTIFF says about its values.
 struct GeoTags {
-  std::string unit = "m";               ///< of every band; empty for none
-  std::string description;              ///< of the file (TIFF ImageDescription)
-  std::vector<std::string> band_names;  ///< empty or one per band
-  /// Free key = value pairs. The vertical datum of heights belongs here, see ellipsoidal_height().
-  std::map<std::string, std::string> metadata;
+  std::string unit = "m";                 ///< of every band; empty for none
+  std::string description{};              ///< of the file (TIFF ImageDescription)
+  std::vector<std::string> band_names{};  ///< empty or one per band
+  /// Free key = value pairs.
+  std::map<std::string, std::string> metadata{};
+  std::string software{};  ///< that made the values (TIFF Software)
+  /// Becomes the metadata VERTICAL_DATUM; a geoid also a part of the reference system, which then
+  /// is a compound one.
+  HeightDatum heights = HeightDatum::none;
+  CellType type = CellType::float32;  ///< to whole numbers values are rounded and clipped
+  double nodata = kNodata;            ///< written for NaN, and declared
+  bool means = true;                  ///< whether a mean of cells means something: overviews
 };
 
-/// Tags of a height raster: unit m, VERTICAL_DATUM = WGS84 ellipsoid.
+/// Tags of a height raster in m.
 /// description  of the file
+/// datum        of the heights
+GeoTags height_tags(const std::string& description, HeightDatum datum);
+/// The same above the WGS84 ellipsoid.
 GeoTags ellipsoidal_height(const std::string& description);
 
-constexpr float kNodata = -9999;  ///< written for NaN, and declared
-
-/// A Float32 GeoTIFF, tiled, DEFLATE with predictor 3; pixels are areas and NaN becomes kNodata.
+/// A cloud-optimised GeoTIFF: tiled, with overviews, DEFLATE with a predictor; pixels are areas and
+/// NaN becomes the nodata value. Three bands of whole numbers are red, green and blue.
 /// The same values give the same bytes; the file appears whole, under its name, or not at all.
 /// values  [H W] or [C H W]
 /// grid    of the values
@@ -48,7 +69,7 @@ void write_geo_raster(const std::filesystem::path& path, const Tensor& values, c
 struct GeoRaster {
   Tensor values;  ///< [H W], or [C H W] where there are more bands than one; NaN where nodata
   GeoGrid grid;
-  GeoTags tags;
+  GeoTags tags;  ///< without `type` and `nodata`
 };
 
 /// Any north-up raster of square cells that GDAL opens. DFC2019's `NAME_DSM.tif` (and

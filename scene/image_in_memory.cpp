@@ -73,8 +73,8 @@ rpc::Image image_of(const ImageInMemory& image) {
 
 UserScene scene_from_images(const std::vector<ImageInMemory>& images,
                             const std::optional<rpc::HeightRange>& height_range,
-                            const std::function<void()>& poll) {
-  ViewList views;
+                            const std::function<void()>& poll, const ValidityRules& rules) {
+  ViewList views(rules);
   for (const ImageInMemory& image : images) {
     if (poll) poll();
     views.add(image_of(image), image.name, {});

@@ -1,7 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/scene/scene.h"
 
+#include <algorithm>
+#include <cmath>
+
 namespace satsurf::scene {
+
+bool View::contains(const rpc::Geodetic& p) const {
+  const rpc::Pixel pixel = rpc.project(p);
+  if (!rpc::inside_image(pixel, width(), height())) return false;
+  const Index x = std::clamp<Index>(std::lround(pixel.x), 0, width() - 1),
+              y = std::clamp<Index>(std::lround(pixel.y), 0, height() - 1);
+  return valid[y * width() + x] > 0;
+}
 
 View view_of(const rpc::Image& image, const std::filesystem::path& file) {
   View view;

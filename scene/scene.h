@@ -22,15 +22,14 @@ struct View {
   std::string date;
   std::filesystem::path file{};  ///< what it was read from, empty for an image in memory
   std::vector<std::filesystem::path> files{};  ///< all that was read for it
+  double border = 0;  ///< share of its pixels that are a border of one value, and not valid
 
   Index height() const { return rgb.dim(1); }
   Index width() const { return rgb.dim(2); }
   /// What messages call it: its file, or its name where it has none.
   std::string label() const { return file.empty() ? name : file.string(); }
-  /// Whether a point falls into the image. Hidden ground counts.
-  bool contains(const rpc::Geodetic& p) const {
-    return rpc::inside_image(rpc.project(p), width(), height());
-  }
+  /// Whether a point falls onto a valid pixel. Hidden ground counts.
+  bool contains(const rpc::Geodetic& p) const;
 };
 
 /// A view with all that its image says; named after its image file.

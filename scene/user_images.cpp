@@ -209,7 +209,14 @@ void check_height_range(const rpc::HeightRange& wanted) {
 }
 
 void ViewList::add(const rpc::Image& image, const std::string& name, const fs::path& file) {
-  View view = view_of(image, file);
+  Validity left = apply(rules_, image.pixels, image.valid);
+  if (std::ranges::none_of(left.valid.values(), [](float v) { return v > 0; }))
+    throw IoError((file.empty() ? name : file.string()) +
+                  ": no pixel but the nodata that was named, expected an image");
+  rpc::Image counted = image;
+  counted.valid = std::move(left.valid);
+  View view = view_of(counted, file);
+  view.border = left.border;
   view.name = view_name(name, views_);
   if (const auto& range = image.info.height_range) {
     if (!named_) named_ = range;
@@ -259,10 +266,10 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
 UserScene scene_from_views(const std::vector<fs::path>& files,
                            const std::vector<fs::path>& image_dirs,
                            const std::optional<rpc::HeightRange>& wanted,
-                           const std::function<void()>& poll) {
+                           const std::function<void()>& poll, const ValidityRules& rules) {
   if (files.size() == 1)  // before it is read
     throw Error(files[0].string() + " is the only image, expected two or more");
-  ViewList views;
+  ViewList views(rules);
   for (const fs::path& file : files) {
     if (poll) poll();
     views.add(rpc::open_view(file, image_dirs), file.stem().string(), file);

@@ -3,6 +3,7 @@
 
 #include "satsurf/rpc/read.h"
 #include "satsurf/scene/scene.h"
+#include "satsurf/scene/validity.h"
 
 #include <filesystem>
 #include <functional>
@@ -30,6 +31,8 @@ struct UserScene {
 /// Views gathered one by one, with what their images say of heights.
 class ViewList {
  public:
+  /// rules  what of every image does not count
+  explicit ViewList(const ValidityRules& rules = {}) : rules_(rules) {}
   /// Adds an image after a check that something can be found again in it.
   /// name    of the view, numbered where it is taken
   /// file    what it was read from; empty for an image in memory
@@ -46,6 +49,7 @@ class ViewList {
                   const std::function<void()>& poll) &&;
 
  private:
+  ValidityRules rules_;
   std::vector<View> views_;
   std::optional<rpc::HeightRange> named_;  // union of the ranges the images name
 };
@@ -55,11 +59,12 @@ class ViewList {
 /// image_dirs  where else to look for the images that JSON files name
 /// wanted      height range, m above the ellipsoid
 /// poll        called often, may throw to stop
+/// rules       what of every image does not count
 /// throws      IoError for a file that cannot be used (missing, too small, without texture); see
 ///             `ViewList` for others
 UserScene scene_from_views(const std::vector<std::filesystem::path>& files,
                            const std::vector<std::filesystem::path>& image_dirs,
                            const std::optional<rpc::HeightRange>& wanted,
-                           const std::function<void()>& poll = {});
+                           const std::function<void()>& poll = {}, const ValidityRules& rules = {});
 
 }  // namespace satsurf::scene

@@ -61,7 +61,7 @@ void write_scene(const SimulatedScene& scene, const fs::path& out_dir, const std
   rpc::write_geo_raster(truth / (name + "_DSM.tif"), heights, grid,
                         rpc::ellipsoidal_height("simulated surface"));
   rpc::GeoTags labels;
-  labels.unit.clear();
+  labels.unit.clear(), labels.means = false;
   labels.description = "2 ground, 5 trees, 6 building, 9 water";
   rpc::write_geo_raster(truth / (name + "_CLS.tif"), scene.classes, grid, labels);
   rpc::write_dfc_grid(truth / (name + "_DSM.txt"), grid, scene.dsm.z.dim(0));

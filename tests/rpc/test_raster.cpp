@@ -78,12 +78,76 @@ TEST_CASE("a DSM survives the round trip with system, nodata, unit and datum") {
   CHECK(std::string(d->GetMetadataItem("PREDICTOR", "IMAGE_STRUCTURE")) == "3");
   int bx = 0, by = 0;
   d->GetRasterBand(1)->GetBlockSize(&bx, &by);
-  CHECK(bx == 256);
-  CHECK(by == 256);
+  CHECK(bx == 512);
+  CHECK(by == 512);
+  CHECK(std::string(d->GetMetadataItem("LAYOUT", "IMAGE_STRUCTURE")) == "COG");
   REQUIRE(d->GetSpatialRef());
   CHECK(std::string(d->GetSpatialRef()->GetAuthorityCode(nullptr)) == "32617");
   // Only the file itself is left in the folder.
   CHECK(std::distance(std::filesystem::directory_iterator(scratch.path()), {}) == 1);
+}
+
+TEST_CASE("heights above a geoid are a compound system, and come back as such") {
+  const test::TempFolder scratch("raster");
+  const Tensor z = heights({4, 3}, 7);
+  for (const auto& [datum, code] :
+       {std::pair{HeightDatum::egm96, "5773"}, {HeightDatum::egm2008, "3855"}}) {
+    write_geo_raster(scratch / "a.tif", z, {32740, 1, 2, 3}, height_tags("x", datum));
+    const GeoRaster back = read_geo_raster(scratch / "a.tif");
+    CHECK(back.grid.epsg == 32740);
+    CHECK(back.tags.heights == datum);
+    CHECK(back.tags.metadata.at("VERTICAL_DATUM") == datum_text(datum));
+    const std::unique_ptr<GDALDataset> d(GDALDataset::Open((scratch / "a.tif").c_str()));
+    REQUIRE(d->GetSpatialRef());
+    CHECK(d->GetSpatialRef()->IsCompound());
+    CHECK(std::string(d->GetSpatialRef()->GetAuthorityCode("VERT_CS")) == code);
+    CHECK(std::string(d->GetSpatialRef()->GetAuthorityCode("PROJCS")) == "32740");
+  }
+  write_geo_raster(scratch / "b.tif", z, {32740, 1, 2, 3}, ellipsoidal_height("x"));
+  CHECK(read_geo_raster(scratch / "b.tif").tags.heights == HeightDatum::ellipsoid);
+  write_geo_raster(scratch / "c.tif", z, {32740, 1, 2, 3});
+  CHECK(read_geo_raster(scratch / "c.tif").tags.heights == HeightDatum::none);
+}
+
+TEST_CASE("overviews are means of the known cells, or one of the values") {
+  const test::TempFolder scratch("raster");
+  Tensor z({700, 1100}, 3.0F);
+  for (Index i = 0; i < z.count(); ++i) z[i] = i % 2 == 0 ? 8.0F : kNan;
+  write_geo_raster(scratch / "mean.tif", z, {32740, 1, 2, 3}, GeoTags{.software = "me 1.2"});
+  CHECK(read_geo_raster(scratch / "mean.tif").tags.software == "me 1.2");
+  for (Index i = 0; i < z.count(); ++i) z[i] = i % 2 == 0 ? 1.0F : 7.0F;
+  write_geo_raster(scratch / "one.tif", z, {32740, 1, 2, 3},
+                   GeoTags{.type = CellType::uint8, .nodata = 255, .means = false});
+  const auto overview = [&](const char* name) {
+    const std::unique_ptr<GDALDataset> d(GDALDataset::Open((scratch / name).c_str()));
+    REQUIRE(d->GetRasterBand(1)->GetOverviewCount() >= 1);
+    GDALRasterBand* band = d->GetRasterBand(1)->GetOverview(0);
+    CHECK(band->GetXSize() == 550);
+    float v = 0;
+    REQUIRE(band->RasterIO(GF_Read, 200, 100, 1, 1, &v, 1, 1, GDT_Float32, 0, 0, nullptr) ==
+            CE_None);
+    return v;
+  };
+  CHECK(overview("mean.tif") == 8);
+  const float one = overview("one.tif");
+  CHECK((one == 1 || one == 7));
+}
+
+TEST_CASE("whole numbers are rounded and clipped, and three bands of them are a picture") {
+  const test::TempFolder scratch("raster");
+  Tensor v = Tensor::from({3, 1, 2}, {1.6F, kNan, -4, 300, 254.4F, 70000});
+  write_geo_raster(scratch / "a.tif", v, {32740, 1, 2, 3},
+                   GeoTags{.unit = "", .type = CellType::uint8, .nodata = 0});
+  CHECK(same(read_geo_raster(scratch / "a.tif").values,
+             Tensor::from({3, 1, 2}, {2, kNan, kNan, 255, 254, 255})));
+  write_geo_raster(scratch / "b.tif", v, {32740, 1, 2, 3},
+                   GeoTags{.unit = "", .type = CellType::uint16, .nodata = 0});
+  CHECK(same(read_geo_raster(scratch / "b.tif").values,
+             Tensor::from({3, 1, 2}, {2, kNan, kNan, 300, 254, 65535})));
+  const std::unique_ptr<GDALDataset> d(GDALDataset::Open((scratch / "b.tif").c_str()));
+  CHECK(d->GetRasterBand(1)->GetRasterDataType() == GDT_UInt16);
+  CHECK(d->GetRasterBand(1)->GetColorInterpretation() == GCI_RedBand);
+  CHECK(d->GetRasterBand(3)->GetColorInterpretation() == GCI_BlueBand);
 }
 
 TEST_CASE("several bands, a southern zone, no system") {
@@ -93,7 +157,7 @@ TEST_CASE("several bands, a southern zone, no system") {
   GeoRaster back = read_geo_raster(scratch / "a.tif");
   CHECK(same(back.values, z));
   CHECK(back.grid.epsg == 32740);
-  write_geo_raster(scratch / "b.tif", z, {0, 1, 2, 3}, GeoTags{"", "", {}, {}});
+  write_geo_raster(scratch / "b.tif", z, {0, 1, 2, 3}, GeoTags{.unit = ""});
   back = read_geo_raster(scratch / "b.tif");
   CHECK(back.grid.epsg == 0);
   CHECK(back.tags.unit.empty());
@@ -134,7 +198,7 @@ TEST_CASE("what cannot be written is refused, and nothing is left behind") {
   CHECK_THROWS_WITH_AS(write_geo_raster(path, Tensor({4, 3}), {99999, 0, 0, 1}),
                        "EPSG:99999: not a known reference system, expected a projected one", Error);
   CHECK_THROWS_WITH_AS(
-      write_geo_raster(path, Tensor({4, 3}), {32617, 0, 0, 1}, GeoTags{"m", "", {"a", "b"}, {}}),
+      write_geo_raster(path, Tensor({4, 3}), {32617, 0, 0, 1}, GeoTags{.band_names = {"a", "b"}}),
       "write_geo_raster: 2 band names, expected 1", Error);
   CHECK_THROWS_WITH_AS(write_rpc_geotiff(path, Tensor({4, 3}), PixelType::uint8, {}),
                        "write_rpc_geotiff: values [4,3], expected [C H W]", ShapeError);

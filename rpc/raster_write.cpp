@@ -1,0 +1,262 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/atomic_file.h"
+#include "satsurf/rpc/gdal.h"
+#include "satsurf/rpc/raster.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <limits>
+
+#include <cpl_vsi.h>
+#include <ogr_spatialref.h>
+
+namespace satsurf::rpc {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string digits(double value) {
+  char text[40];
+  std::snprintf(text, sizeof text, "%.17g", value);
+  return text;
+}
+
+/// A raster that is built in memory and leaves it as a finished file, so that the disk never sees a
+/// part of one.
+class MemoryRaster {
+ public:
+  /// driver  GTiff, which compresses while it is written, or MEM
+  MemoryRaster(const fs::path& path, const char* driver, const std::array<int, 3>& size,
+               GDALDataType type, const std::vector<const char*>& options = {})
+      : path_(path) {
+    static std::atomic<unsigned> count{0};
+    name_ = "/vsimem/satsurf_" + std::to_string(count++) + ".tif";
+    CPLStringList list;
+    for (const char* o : options) list.AddString(o);
+    dataset_.reset(of_name(driver).Create(name_.c_str(), size[0], size[1], size[2], type, list));
+    if (!dataset_) fail();
+  }
+  ~MemoryRaster() {
+    dataset_.reset();
+    VSIUnlink(name_.c_str());
+  }
+  MemoryRaster(const MemoryRaster&) = delete;
+  MemoryRaster& operator=(const MemoryRaster&) = delete;
+
+  GDALDataset* operator->() { return dataset_.get(); }
+  void check(CPLErr result) const {
+    if (result != CE_None) fail();
+  }
+  /// Makes another format of it, which takes its place.
+  void convert(const char* driver, const std::vector<const char*>& options) {
+    CPLStringList list;
+    for (const char* o : options) list.AddString(o);
+    DatasetPtr other(
+        of_name(driver).CreateCopy(name_.c_str(), dataset_.get(), FALSE, list, nullptr, nullptr));
+    if (!other) fail();
+    dataset_ = std::move(other);
+  }
+  /// Finishes the file and puts it in its place.
+  void save() {
+    CPLErrorReset();
+    dataset_.reset();
+    if (CPLGetLastErrorType() >= CE_Failure) fail();
+    vsi_l_offset size = 0;
+    const auto* bytes = VSIGetMemFileBuffer(name_.c_str(), &size, FALSE);
+    if (!bytes) fail();
+    atomic_write(path_, std::string_view(reinterpret_cast<const char*>(bytes),
+                                         static_cast<std::size_t>(size)));
+  }
+
+ private:
+  GDALDriver& of_name(const char* driver) const {
+    GDALDriver* found = GetGDALDriverManager()->GetDriverByName(driver);
+    if (!found)
+      throw IoError(path_.string() + ": this GDAL has no driver " + driver + ", expected one");
+    return *found;
+  }
+  [[noreturn]] void fail() const {
+    throw IoError(path_.string() + ": the GeoTIFF cannot be made; " + gdal_error());
+  }
+  fs::path path_;
+  std::string name_;
+  DatasetPtr dataset_;
+};
+
+struct Extents {
+  Index C, H, W;
+};
+Extents extents_of(const char* where, const Tensor& values, bool planes_only) {
+  const Shape& s = values.shape();
+  const bool planes = s.rank() == 3;
+  if (values.empty() || !(planes || (s.rank() == 2 && !planes_only)) || s.count() == 0)
+    throw ShapeError(std::string(where) + ": values " + (values.empty() ? "[]" : s.str()) +
+                     ", expected " + (planes_only ? "[C H W]" : "[H W] or [C H W]"));
+  return planes ? Extents{s[0], s[1], s[2]} : Extents{1, s[0], s[1]};
+}
+
+OGRSpatialReference known_system(int epsg) {
+  OGRSpatialReference crs;
+  if (crs.importFromEPSG(epsg) != OGRERR_NONE)
+    throw Error("EPSG:" + std::to_string(epsg) +
+                ": not a known reference system, expected a projected one");
+  crs.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+  return crs;
+}
+
+/// A projected system, compounded with that of a geoid where heights are above one. Of heights above
+/// the ellipsoid GDAL 3.6 can write no system into a GeoTIFF, neither a third axis nor a compound.
+OGRSpatialReference system_of(int epsg, HeightDatum heights) {
+  OGRSpatialReference ground = known_system(epsg);
+  if (height_epsg(heights) == 0) return ground;
+  const OGRSpatialReference up = known_system(height_epsg(heights));
+  const std::string name = std::string(ground.GetName()) + " + " + up.GetName();
+  OGRSpatialReference both;
+  if (both.SetCompoundCS(name.c_str(), &ground, &up) != OGRERR_NONE)
+    throw Error("EPSG:" + std::to_string(epsg) + ": cannot be given heights (" + gdal_error() +
+                "), expected a projected system");
+  both.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+  return both;
+}
+
+void describe(MemoryRaster& raster, const GeoTags& tags) {
+  raster.check(raster->SetMetadataItem("AREA_OR_POINT", "Area"));
+  if (!tags.description.empty())
+    raster.check(raster->SetMetadataItem("TIFFTAG_IMAGEDESCRIPTION", tags.description.c_str()));
+  if (!tags.software.empty())
+    raster.check(raster->SetMetadataItem("TIFFTAG_SOFTWARE", tags.software.c_str()));
+  if (tags.heights != HeightDatum::none)
+    raster.check(raster->SetMetadataItem("VERTICAL_DATUM", datum_text(tags.heights)));
+  for (const auto& [key, value] : tags.metadata)
+    raster.check(raster->SetMetadataItem(key.c_str(), value.c_str()));
+}
+
+GDALDataType gdal_type(CellType type) {
+  if (type == CellType::uint8) return GDT_Byte;
+  return type == CellType::uint16 ? GDT_UInt16 : GDT_Float32;
+}
+
+/// A value as it is stored: whole and clipped where the type is.
+float stored(float v, CellType type, double nodata) {
+  if (!std::isfinite(v)) return static_cast<float>(nodata);
+  if (type == CellType::float32) return v;
+  return std::round(std::clamp(v, 0.0F, type == CellType::uint8 ? 255.0F : 65535.0F));
+}
+
+}  // namespace
+
+const char* datum_text(HeightDatum datum) {
+  switch (datum) {
+    case HeightDatum::ellipsoid:
+      return "WGS84 ellipsoid";
+    case HeightDatum::egm96:
+      return "EGM96 geoid";
+    case HeightDatum::egm2008:
+      return "EGM2008 geoid";
+    case HeightDatum::none:
+      break;
+  }
+  return "";
+}
+
+int height_epsg(HeightDatum datum) {
+  if (datum == HeightDatum::egm96) return 5773;
+  return datum == HeightDatum::egm2008 ? 3855 : 0;
+}
+
+GeoTags height_tags(const std::string& description, HeightDatum datum) {
+  GeoTags tags;
+  tags.unit = "m", tags.description = description, tags.heights = datum;
+  return tags;
+}
+
+GeoTags ellipsoidal_height(const std::string& description) {
+  return height_tags(description, HeightDatum::ellipsoid);
+}
+
+void write_geo_raster(const fs::path& path, const Tensor& values, const GeoGrid& grid,
+                      const GeoTags& tags) {
+  const auto [C, H, W] = extents_of("write_geo_raster", values, false);
+  if (!(grid.step > 0))
+    throw Error("write_geo_raster: cells of " + digits(grid.step) + " m, expected a positive size");
+  if (!tags.band_names.empty() && static_cast<Index>(tags.band_names.size()) != C)
+    throw Error("write_geo_raster: " + std::to_string(tags.band_names.size()) +
+                " band names, expected " + std::to_string(C));
+  const GdalScope scope;
+  const auto w = static_cast<int>(W), h = static_cast<int>(H);
+  MemoryRaster raster(path, "MEM", {w, h, static_cast<int>(C)}, gdal_type(tags.type));
+  if (grid.epsg != 0) {
+    const OGRSpatialReference crs = system_of(grid.epsg, tags.heights);
+    raster.check(raster->SetSpatialRef(&crs));
+  }
+  std::array<double, 6> transform{grid.x0, grid.step, 0, grid.y0, 0, -grid.step};
+  raster.check(raster->SetGeoTransform(transform.data()));
+  describe(raster, tags);
+
+  constexpr std::array kColours{GCI_RedBand, GCI_GreenBand, GCI_BlueBand};
+  const bool picture = tags.type != CellType::float32 && C == 3;
+  std::vector<float> plane(static_cast<std::size_t>(H * W));
+  for (Index c = 0; c < C; ++c) {
+    GDALRasterBand* band = raster->GetRasterBand(static_cast<int>(c) + 1);
+    raster.check(band->SetNoDataValue(tags.nodata));
+    if (!tags.unit.empty()) raster.check(band->SetUnitType(tags.unit.c_str()));
+    if (!tags.band_names.empty())
+      band->SetDescription(tags.band_names[static_cast<std::size_t>(c)].c_str());
+    if (picture) raster.check(band->SetColorInterpretation(kColours[static_cast<std::size_t>(c)]));
+    const float* from = values.data() + c * H * W;
+    std::transform(from, from + H * W, plane.begin(),
+                   [&](float v) { return stored(v, tags.type, tags.nodata); });
+    raster.check(
+        band->RasterIO(GF_Write, 0, 0, w, h, plane.data(), w, h, GDT_Float32, 0, 0, nullptr));
+  }
+  raster.convert("COG", {"COMPRESS=DEFLATE", "PREDICTOR=YES", "BIGTIFF=IF_SAFER",
+                         tags.means ? "OVERVIEW_RESAMPLING=AVERAGE" : "OVERVIEW_RESAMPLING=MODE"});
+  raster.save();
+}
+
+void write_rpc_geotiff(const fs::path& path, const Tensor& pixels, PixelType type, const Rpc& rpc,
+                       const std::map<std::string, std::string>& metadata) {
+  const auto [C, H, W] = extents_of("write_rpc_geotiff", pixels, true);
+  const GdalScope scope;
+  const auto w = static_cast<int>(W), h = static_cast<int>(H), bands = static_cast<int>(C);
+  const bool wide = type == PixelType::uint16;
+  MemoryRaster tiff(path, "GTiff", {w, h, bands}, wide ? GDT_UInt16 : GDT_Byte,
+                    {"TILED=YES", "COMPRESS=DEFLATE", "PREDICTOR=2", "INTERLEAVE=PIXEL",
+                     "BIGTIFF=IF_SAFER", C == 3 ? "PHOTOMETRIC=RGB" : "PHOTOMETRIC=MINISBLACK"});
+  char** items = nullptr;
+  const auto add = [&](const char* key, const std::string& value) {
+    items = CSLSetNameValue(items, key, value.c_str());
+  };
+  const auto add_list = [&](const char* key, const std::array<double, 20>& values) {
+    std::string text;
+    for (const double v : values) text += digits(v) + " ";
+    add(key, text);
+  };
+  add("ERR_BIAS", "-1"), add("ERR_RAND", "-1");  // unknown
+  add("LINE_OFF", digits(rpc.line_off)), add("SAMP_OFF", digits(rpc.samp_off));
+  add("LAT_OFF", digits(rpc.lat_off)), add("LONG_OFF", digits(rpc.lon_off));
+  add("HEIGHT_OFF", digits(rpc.height_off)), add("HEIGHT_SCALE", digits(rpc.height_scale));
+  add("LINE_SCALE", digits(rpc.line_scale)), add("SAMP_SCALE", digits(rpc.samp_scale));
+  add("LAT_SCALE", digits(rpc.lat_scale)), add("LONG_SCALE", digits(rpc.lon_scale));
+  add_list("LINE_NUM_COEFF", rpc.line_num), add_list("LINE_DEN_COEFF", rpc.line_den);
+  add_list("SAMP_NUM_COEFF", rpc.samp_num), add_list("SAMP_DEN_COEFF", rpc.samp_den);
+  const CPLErr set = tiff->SetMetadata(items, "RPC");
+  CSLDestroy(items);
+  tiff.check(set);
+  for (const auto& [key, value] : metadata)
+    tiff.check(tiff->SetMetadataItem(key.c_str(), value.c_str()));
+
+  const float top = wide ? 65535.0F : 255.0F;
+  std::vector<std::uint16_t> whole(static_cast<std::size_t>(pixels.count()));
+  std::transform(pixels.data(), pixels.data() + pixels.count(), whole.begin(), [&](float v) {
+    return static_cast<std::uint16_t>(v > 0 ? std::lround(std::min(v, top)) : 0);  // NaN becomes 0
+  });
+  tiff.check(tiff->RasterIO(GF_Write, 0, 0, w, h, whole.data(), w, h, GDT_UInt16, bands, nullptr, 0,
+                            0, 0, nullptr));
+  tiff.save();
+}
+
+}  // namespace satsurf::rpc
