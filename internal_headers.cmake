@@ -9,10 +9,10 @@ set(satsurf_internal_headers
   "/splat/bin\\.h$"
   "/rpc/gdal\\.h$"
   "/mesh/sampled_view\\.h$"
-  "/scene/(ray_walk|satnerf)\\.h$"
+  "/scene/(ray_walk|satnerf|sight_lines)\\.h$"
   "/scene/simulate/(city|conditions|develop|dress|given|layout|noise|orbit|render|texture)\\.h$"
   "/reconstruct/(cast|cell_mode|cell_surfels|cross_check|fusion|narrow|surface_input|trust)\\.h$"
   "/train/(sample_batch)\\.h$"
-  "/evaluate/(score_views|sight_lines)\\.h$")
+  "/evaluate/score_views\\.h$")
 # Of the readers' room the engine has the cameras alone.
 set(satsurf_reader_headers "/rpc/(raster|read)\\.h$")

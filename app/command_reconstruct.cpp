@@ -8,6 +8,7 @@
 #include "satsurf/app/progress.h"
 #include "satsurf/app/reconstruct_options.h"
 #include "satsurf/app/record.h"
+#include "satsurf/app/surface_files.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/memory.h"
 #include "satsurf/core/parallel.h"
@@ -18,10 +19,7 @@
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
-#include "satsurf/rpc/raster.h"
-#include "satsurf/rpc/read.h"
 #include "satsurf/scene/user_images.h"
-#include "satsurf/splat/ply.h"
 
 #include <algorithm>
 #include <chrono>
@@ -117,21 +115,6 @@ nlohmann::ordered_json memory_by_part(const reconstruct::Reconstruction& made) {
   return list;
 }
 
-void write_surface(const OutputFolder& folder, const reconstruct::Reconstruction& made,
-                   const rpc::LocalFrame& frame) {
-  write_field(folder / "dsm.tif", made.dsm.z, made.dsm, frame, frame.h0,
-              rpc::ellipsoidal_height("Surface heights"));
-  rpc::GeoTags unitless;
-  unitless.unit = "", unitless.description = "Confidence of the surface, 0 to 1";
-  write_field(folder / "confidence.tif", made.confidence, made.dsm, frame, 0, unitless);
-  if (!made.sigma.empty()) {
-    rpc::GeoTags expected;
-    expected.description = "Expected error of the heights, m";
-    write_field(folder / "height_sigma.tif", made.sigma, made.dsm, frame, 0, expected);
-  }
-  splat::write_ply(folder / "surfels.ply", made.surfels, frame_comments(frame));
-}
-
 /// The surface as the cameras of the images see it.
 struct RenderedViews {
   std::vector<Tensor> colours;             ///< [3 H W]
@@ -221,6 +204,21 @@ struct Summary {
   double seconds = 0;           ///< that making the surface took
 };
 
+/// What became of the images.
+nlohmann::json images_json(const scene::Scene& scene) {
+  auto list = nlohmann::json::array();
+  for (const scene::View& view : scene.views) {
+    const auto& [channels, low, high] = view.colours;
+    list.push_back({{"name", view.name},
+                    {"bands", view.bands},
+                    {"type", view.dtype},
+                    {"rgb_bands", {channels[0] + 1, channels[1] + 1, channels[2] + 1}},
+                    {"stretch", {low, high}},
+                    {"border", view.border}});
+  }
+  return list;
+}
+
 /// The results in the record of the run.
 nlohmann::json results_json(const reconstruct::Reconstruction& made, const scene::UserScene& user,
                             const Summary& summary) {
@@ -238,6 +236,7 @@ nlohmann::json results_json(const reconstruct::Reconstruction& made, const scene
           {"mean_confidence", mean_of(made.confidence)},
           {"surfels", made.surfels.means.dim(0)},
           {"tiles", made.tiles},
+          {"images", images_json(user.scene)},
           {"camera_fit_max_px", made.camera_fit_max_px},
           {"planned_memory_bytes", made.planned_memory_bytes},
           {"memory_by_part", memory_by_part(made)},
@@ -319,7 +318,11 @@ void run_reconstruct(const ReconstructCommand& options) {
   warn_of_fit(made, progress);
 
   progress.update("write", 0);
-  write_surface(folder, made, scene.frame);
+  const reconstruct::Visibility visibility = reconstruct::find_visibility(made.dsm, made.images);
+  write_surface(folder.path(), made, scene, visibility);
+  poll();
+  write_ortho(folder / "ortho.tif", made, scene, visibility, options.image_dirs);
+  poll();
   std::vector<mesh::HeightImage> seen;
   {
     RenderedViews rendered = render_views(made, with_mesh, progress);

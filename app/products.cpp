@@ -47,9 +47,12 @@ void write_field(const std::filesystem::path& path, const Tensor& values,
                  const rpc::GeoTags& tags) {
   Tensor out = values.clone();
   for (float& v : out.values()) v = static_cast<float>(static_cast<double>(v) + offset);
+  rpc::GeoTags signed_tags = tags;
+  signed_tags.software = std::string("satsurf ") + program_version();
   rpc::write_geo_raster(
       path, out,
-      {frame.zone.epsg(), grid.x0 + frame.easting0, grid.y0 + frame.northing0, grid.step}, tags);
+      {frame.zone.epsg(), grid.x0 + frame.easting0, grid.y0 + frame.northing0, grid.step},
+      signed_tags);
 }
 
 }  // namespace satsurf::app

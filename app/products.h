@@ -20,8 +20,9 @@ rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
                                     const std::string& where);
 
 /// Writes a GeoTIFF of what is known on the grid of a local field.
-/// values  [H W], NaN where unknown
+/// values  [H W] or [C H W], NaN where unknown
 /// offset  added to every value: the frame's `h0` makes local heights ellipsoidal
+/// tags    the software is added
 /// throws  IoError
 void write_field(const std::filesystem::path& path, const Tensor& values,
                  const scene::HeightField& grid, const rpc::LocalFrame& frame, double offset,

@@ -107,12 +107,20 @@ struct ReconstructCommand : ReconstructConfig {
 
 /// The files in its folder.
 inline std::vector<WrittenFile> written_by_reconstruct() {
-  return {{"dsm.tif", "heights above the WGS84 ellipsoid, m, Float32, UTM, nodata -9999"},
+  return {{"dsm.tif",
+           "heights above the WGS84 ellipsoid, m, Float32, UTM, nodata -9999; the grid's corner is "
+           "a whole multiple of its cell; as all rasters here a cloud-optimised GeoTIFF"},
           {"confidence.tif",
            "confidence of the surface, 0 to 1, on the same grid, Float32, nodata -9999"},
           {"height_sigma.tif",
            "expected error of the heights (about two thirds are within it), m, on the same grid; "
            "only of a refined surface"},
+          {"views.tif",
+           "how many images see the cell, hidden ones not counted, on the same grid, nodata 255"},
+          {"ortho.tif",
+           "every cell as the steepest image that sees it shows it, on the same grid: the bands "
+           "that the network saw as red, green and blue, or the one of grey images, in the images' "
+           "own 8 or 16 bits; nodata 0, where no image sees the cell"},
           {"surfels.ply",
            "the surface as Gaussian surfels in a local metric frame, which the header names"},
           {"mesh.ply", "the surface as triangles with colours, in the same frame; see --mesh"},
@@ -139,6 +147,10 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
           {"lowest, highest", "of the surface, m above the ellipsoid"},
           {"mean_confidence", "0 to 1"},
           {"surfels", "how many"},
+          {"images",
+           "of each image: name, bands, type, rgb_bands (counted from 1), stretch (values that "
+           "became black and white: 0 and 255 of uint8, else the 1st and 99th percentile of the "
+           "valid pixels), border (share that was left out as one)"},
           {"tiles", "in how many parts the work was done"},
           {"camera_fit_max_px", "how well the cameras were fitted, px"},
           {"planned_memory_bytes", "what the plan foresaw"},

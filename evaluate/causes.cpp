@@ -5,7 +5,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/evaluate/fill.h"
 #include "satsurf/evaluate/metrics.h"
-#include "satsurf/evaluate/sight_lines.h"
+#include "satsurf/scene/sight_lines.h"
 
 #include <algorithm>
 #include <cmath>
@@ -87,7 +87,7 @@ std::vector<Index> region_sizes(const Marks& marks, Index H, Index W) {
 }
 
 /// The causes that rays tell.
-std::uint16_t causes_of(const Sight& sight) {
+std::uint16_t causes_of(const scene::Sight& sight) {
   std::uint16_t flags = 0;
   if (sight.see < sight.contain) flags |= bit(Cause::hidden);
   if (sight.see < sight.contain && sight.see <= 1) flags |= bit(Cause::seen_by_one);
@@ -158,7 +158,7 @@ CauseFlags find_causes(const scene::HeightField& truth, const Tensor& classes,
   know(Cause::shadow,
        std::ranges::any_of(views, [](const LitView& v) { return v.to_sun.has_value(); }));
 
-  const SightLines lines(truth, views);
+  const scene::SightLines lines(truth, views);
   const Marks rim = grown(steps_of(truth.z), H, W, 1);
   if (!lines.empty())
     for_range(H, 4, [&](Index begin, Index end) {

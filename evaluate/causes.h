@@ -4,6 +4,7 @@
 #include "satsurf/core/fields.h"
 #include "satsurf/nn/input.h"
 #include "satsurf/nn/stage.h"
+#include "satsurf/scene/lit_view.h"
 #include "satsurf/scene/scene.h"
 
 #include <array>
@@ -62,11 +63,8 @@ namespace satsurf::evaluate {
 std::optional<std::array<double, 2>> slope_to_sun(const scene::View& view,
                                                   const rpc::LocalFrame& frame);
 
-/// A source view and its light.
-struct LitView {
-  nn::PosedImage image;  ///< whole, with its camera in the frame of the truth
-  std::optional<std::array<double, 2>> to_sun{};  ///< see `slope_to_sun`; lit everywhere without
-};
+/// A source view, in the frame of the truth, and its light as `slope_to_sun` says.
+using scene::LitView;
 
 /// The causes of every cell of a grid.
 struct CauseFlags {

@@ -28,9 +28,10 @@ std::array<rpc::Pixel, 9> outline(const scene::View& v) {
   return pixels;
 }
 
-/// What at least two views see at one height.
-/// throws  Error if there is no such ground
-Ground common_ground(const scene::Scene& scene, double z) {
+/// What at least two views see at one height; without a span where there is no such ground.
+/// sees  how many do at a point, local m
+template <class F>
+Ground common_ground(const scene::Scene& scene, double z, F&& sees) {
   Ground all{INFINITY, INFINITY, -INFINITY, -INFINITY};
   for (const scene::View& v : scene.views)
     for (const rpc::Pixel& pixel : outline(v)) {
@@ -46,10 +47,23 @@ Ground common_ground(const scene::Scene& scene, double z) {
     for (Index j = 0; j < kGrid; ++j) {
       const double x = all.x0 + (static_cast<double>(j) + 0.5) * dx,
                    y = all.y0 + (static_cast<double>(i) + 0.5) * dy;
-      if (views_containing(scene, {x, y, z}) < 2) continue;
+      if (sees(std::array{x, y, z}) < 2) continue;
       common = {std::min(common.x0, x - dx / 2), std::min(common.y0, y - dy / 2),
                 std::max(common.x1, x + dx / 2), std::max(common.y1, y + dy / 2)};
     }
+  return common;
+}
+
+/// What at least two views show at one height; where no pixels are valid, what two would.
+/// throws  Error if there is no such ground
+Ground common_ground(const scene::Scene& scene, double z) {
+  Ground common = common_ground(scene, z, [&](const auto& p) { return views_showing(scene, p); });
+  if (!(common.width() > 0))
+    common = common_ground(scene, z, [&](const auto& p) {
+      const rpc::Geodetic at = scene.frame.geodetic_from_local(p);
+      return std::ranges::count_if(scene.views,
+                                   [&](const scene::View& v) { return v.contains(at); });
+    });
   if (!(common.width() > 0))
     throw Error("no two images see the same ground, expected overlapping views");
   return common;
@@ -191,9 +205,9 @@ void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {
               " at most; give smaller images or a coarser resolution");
 }
 
-Index views_containing(const scene::Scene& scene, const std::array<double, 3>& p_in_local) {
+Index views_showing(const scene::Scene& scene, const std::array<double, 3>& p_in_local) {
   const rpc::Geodetic p = scene.frame.geodetic_from_local(p_in_local);
-  return std::ranges::count_if(scene.views, [&](const scene::View& v) { return v.contains(p); });
+  return std::ranges::count_if(scene.views, [&](const scene::View& v) { return v.shows(p); });
 }
 
 }  // namespace satsurf::reconstruct

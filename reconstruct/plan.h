@@ -81,8 +81,8 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
 /// throws  Error where the system has less memory than the plan needs
 void check_memory(const ReconstructPlan& plan, const scene::Scene& scene);
 
-/// Number of views into which a point of the scene falls, hidden or not.
+/// Number of views on whose valid pixels a point of the scene falls, hidden or not.
 /// p_in_local  m
-Index views_containing(const scene::Scene& scene, const std::array<double, 3>& p_in_local);
+Index views_showing(const scene::Scene& scene, const std::array<double, 3>& p_in_local);
 
 }  // namespace satsurf::reconstruct

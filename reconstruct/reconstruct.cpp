@@ -140,7 +140,7 @@ void keep_surface(Reconstruction& out, FusedSurface surface, const scene::Scene&
     }
     const double x = plan.east + (static_cast<double>(i % W) + 0.5) * plan.step,
                  y = plan.north - (static_cast<double>(i / W) + 0.5) * plan.step;
-    expected += views_containing(scene, {x, y, scene.z_range.middle()}) >= 2 ? 1 : 0;
+    expected += views_showing(scene, {x, y, scene.z_range.middle()}) >= 2 ? 1 : 0;
   }
   out.completeness = expected > 0 ? static_cast<double>(found) / static_cast<double>(expected) : 0;
 }

@@ -204,10 +204,10 @@ RasterInfo view_info(const fs::path& path, const std::vector<fs::path>& image_di
   return info;
 }
 
-Tensor to_rgb(const Image& image) {
+RgbChoice rgb_choice(const Image& image) {
   Dims dim("to_rgb");
   dim.match("pixels", image.pixels, "C H W").match("valid", image.valid, "H W");
-  const Index C = dim["C"], H = dim["H"], W = dim["W"], N = H * W;
+  const Index C = dim["C"];
   const std::array<Index, 3> channels =
       C < 3 ? std::array<Index, 3>{0, 0, 0} : image.info.rgb_channels;
   for (const Index c : channels)
@@ -216,9 +216,15 @@ Tensor to_rgb(const Image& image) {
                        std::to_string(C) + " channels");
   const auto [low, high] =
       image.info.dtype == "uint8" ? std::pair{0.0F, 255.0F} : stretch_of(image, channels);
+  return {channels, low, high};
+}
+
+Tensor to_rgb(const Image& image) {
+  const auto [channels, low, high] = rgb_choice(image);
+  const Index H = image.pixels.dim(1), W = image.pixels.dim(2), N = H * W;
   const float scale = high > low ? 1 / (high - low) : 0;
   auto rgb = Tensor::uninitialised({3, H, W});
-  for_range(3 * N, Index{1} << 16, [&, low = low](Index begin, Index end) {
+  for_range(3 * N, Index{1} << 16, [&, channels = channels, low = low](Index begin, Index end) {
     for (Index i = begin; i < end; ++i) {
       const Index c = channels[static_cast<std::size_t>(i / N)], at = i % N;
       const float v = (image.pixels[c * N + at] - low) * scale;

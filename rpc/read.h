@@ -62,6 +62,15 @@ RasterInfo read_info(const std::filesystem::path& path);
 ///         window that leaves the image
 Image read_image(const std::filesystem::path& path, const std::optional<PixelWindow>& window = {});
 
+/// What of an image's values become colours.
+struct RgbChoice {
+  std::array<Index, 3> channels{0, 0, 0};  ///< red, green and blue, counted from 0
+  float low = 0, high = 255;               ///< values that become 0 and 1
+};
+/// The choice of `to_rgb`.
+/// throws  ShapeError
+RgbChoice rgb_choice(const Image& image);
+
 /// Colours for the network.
 ///   channels  one or two: the first, three times; three or more: `info.rgb_channels` (Pleiades and
 ///             SPOT deliver R G B N)

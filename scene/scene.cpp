@@ -6,7 +6,7 @@
 
 namespace satsurf::scene {
 
-bool View::contains(const rpc::Geodetic& p) const {
+bool View::shows(const rpc::Geodetic& p) const {
   const rpc::Pixel pixel = rpc.project(p);
   if (!rpc::inside_image(pixel, width(), height())) return false;
   const Index x = std::clamp<Index>(std::lround(pixel.x), 0, width() - 1),
@@ -25,6 +25,9 @@ View view_of(const rpc::Image& image, const std::filesystem::path& file) {
   view.date = image.info.acquisition_date.value_or("");
   view.file = file;
   view.files = image.info.files;
+  view.bands = image.info.bands;
+  view.dtype = image.info.dtype;
+  view.colours = rpc::rgb_choice(image);
   return view;
 }
 

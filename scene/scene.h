@@ -22,14 +22,21 @@ struct View {
   std::string date;
   std::filesystem::path file{};  ///< what it was read from, empty for an image in memory
   std::vector<std::filesystem::path> files{};  ///< all that was read for it
+  Index bands = 3;                             ///< of the image
+  std::string dtype = "uint8";                 ///< of the image, see rpc::RasterInfo
+  rpc::RgbChoice colours{};                    ///< what of its values became `rgb`
   double border = 0;  ///< share of its pixels that are a border of one value, and not valid
 
   Index height() const { return rgb.dim(1); }
   Index width() const { return rgb.dim(2); }
   /// What messages call it: its file, or its name where it has none.
   std::string label() const { return file.empty() ? name : file.string(); }
-  /// Whether a point falls onto a valid pixel. Hidden ground counts.
-  bool contains(const rpc::Geodetic& p) const;
+  /// Whether a point falls into the image. Hidden ground counts.
+  bool contains(const rpc::Geodetic& p) const {
+    return rpc::inside_image(rpc.project(p), width(), height());
+  }
+  /// Whether it falls onto a valid pixel.
+  bool shows(const rpc::Geodetic& p) const;
 };
 
 /// A view with all that its image says; named after its image file.

@@ -149,7 +149,7 @@ TEST_CASE("a scene with undeclared borders is the scene with declared ones") {
   CHECK(told.views[0].border == 0);
   // ground under the border is not what the view shows
   const auto at = [&](double x, double y) { return camera.localize({x, y}, camera.height_off); };
-  CHECK(!found.views[0].contains(at(3, 3)));
-  CHECK(found.views[0].contains(at(60, 40)));
-  CHECK(blind.views[0].contains(at(3, 3)));
+  CHECK(!found.views[0].shows(at(3, 3)));
+  CHECK(found.views[0].shows(at(60, 40)));
+  CHECK(blind.views[0].shows(at(3, 3)));
 }

@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/evaluate/sight_lines.h"
+#include "satsurf/scene/sight_lines.h"
 
 #include "satsurf/core/parallel.h"
+#include "satsurf/rpc/model.h"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
-namespace satsurf::evaluate {
+namespace satsurf::scene {
 namespace {
 
 /// The surface with its unknown cells too low to be in the way.
-scene::HeightField known_only(const scene::HeightField& truth) {
-  scene::HeightField out = truth;
-  out.z = truth.z.clone();
+HeightField known_only(const HeightField& surface) {
+  HeightField out = surface;
+  out.z = surface.z.clone();
   float low = std::numeric_limits<float>::infinity();
-  for (const float z : truth.z.values()) low = z < low ? z : low;
+  for (const float z : surface.z.values()) low = z < low ? z : low;
   for (float& z : out.z.values())
     if (!std::isfinite(z) && std::isfinite(low)) z = low;
   return out;
@@ -62,8 +63,8 @@ Tensor clear_heights(const Tensor& z, double step, double slope) {
 
 }  // namespace
 
-SightLines::SightLines(const scene::HeightField& truth, const std::vector<LitView>& views)
-    : truth_(truth), views_(views), solid_(known_only(truth)), columns_(solid_) {
+SightLines::SightLines(const HeightField& surface, const std::vector<LitView>& views)
+    : surface_(surface), views_(views), solid_(known_only(surface)), columns_(solid_) {
   double rays = 0, light = 0;
   for (const LitView& view : views) {
     const Tensor& image = view.image.rgb;
@@ -76,25 +77,38 @@ SightLines::SightLines(const scene::HeightField& truth, const std::vector<LitVie
     if (view.to_sun) light = std::max(light, std::hypot((*view.to_sun)[0], (*view.to_sun)[1]));
   }
   constexpr double kMargin = 1.01;  // rays of one image differ by less
-  clear_of_rays_ = clear_heights(solid_.z, truth.step, kMargin * rays);
-  clear_of_light_ = clear_heights(solid_.z, truth.step, kMargin * light);
+  clear_of_rays_ = clear_heights(solid_.z, surface.step, kMargin * rays);
+  clear_of_light_ = clear_heights(solid_.z, surface.step, kMargin * light);
+}
+
+std::array<double, 3> SightLines::centre(Index row, Index col) const {
+  return {surface_.x0 + (static_cast<double>(col) + 0.5) * surface_.step,
+          surface_.y0 - (static_cast<double>(row) + 0.5) * surface_.step,
+          static_cast<double>(surface_.z[row * surface_.z.dim(1) + col])};
+}
+
+bool SightLines::sees(std::size_t view, Index row, Index col) const {
+  const nn::PosedImage& image = views_[view].image;
+  const auto p = centre(row, col);
+  const auto q = image.pixel_from_local(p[0], p[1], p[2]);
+  if (!rpc::inside_image({q[0], q[1]}, image.rgb.dim(2), image.rgb.dim(1))) return false;
+  const Index k = row * surface_.z.dim(1) + col;
+  return surface_.z[k] >= clear_of_rays_[k] || reaches(image, q, row, col, p);
 }
 
 Sight SightLines::at(Index row, Index col) const {
-  const Index k = row * truth_.z.dim(1) + col;
-  const bool in_sight = truth_.z[k] >= clear_of_rays_[k],
-             sunlit = truth_.z[k] >= clear_of_light_[k];
-  const double z = static_cast<double>(truth_.z[k]),
-               x = truth_.x0 + (static_cast<double>(col) + 0.5) * truth_.step,
-               y = truth_.y0 - (static_cast<double>(row) + 0.5) * truth_.step;
+  const Index k = row * surface_.z.dim(1) + col;
+  const bool sunlit = surface_.z[k] >= clear_of_light_[k];
+  const auto [x, y, z] = centre(row, col);
   const double up = columns_.high() - z, down = columns_.low() - z;
   Sight out;
-  for (const LitView& view : views_) {
+  for (std::size_t i = 0; i < views_.size(); ++i) {
+    const LitView& view = views_[i];
     const nn::PosedImage& image = view.image;
     const auto q = image.pixel_from_local(x, y, z);
     if (!rpc::inside_image({q[0], q[1]}, image.rgb.dim(2), image.rgb.dim(1))) continue;
     ++out.contain;
-    out.see += in_sight || seen(view.image, q, row, col, {x, y, z});
+    out.see += sees(i, row, col);
     if (sunlit || out.shaded || !view.to_sun) continue;
     const auto [east, north] = *view.to_sun;
     out.shaded =
@@ -103,8 +117,8 @@ Sight SightLines::at(Index row, Index col) const {
   return out;
 }
 
-bool SightLines::seen(const nn::PosedImage& image, const std::array<double, 2>& q, Index row,
-                      Index col, const std::array<double, 3>& p) const {
+bool SightLines::reaches(const nn::PosedImage& image, const std::array<double, 2>& q, Index row,
+                         Index col, const std::array<double, 3>& p) const {
   // the camera's two maps are inverse to each other but for the residuals of their fits; the ray
   // goes through the point all the same
   const auto at = image.local_from_pixel(q[0], q[1], p[2]),
@@ -120,4 +134,4 @@ bool SightLines::reached(Index row, Index col, const std::array<double, 2>& top,
   return hit.row == row && hit.col == col;
 }
 
-}  // namespace satsurf::evaluate
+}  // namespace satsurf::scene

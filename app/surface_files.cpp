@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/surface_files.h"
+
+#include "satsurf/app/products.h"
+#include "satsurf/rpc/read.h"
+#include "satsurf/splat/ply.h"
+
+#include <algorithm>
+#include <string>
+#include <utility>
+
+namespace satsurf::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Tags of a file about a surface, with the images it was made of.
+rpc::GeoTags with_inputs(rpc::GeoTags tags, const scene::Scene& scene) {
+  std::string names;
+  for (const scene::View& view : scene.views)
+    names += (names.empty() ? "" : " ") + view.file.filename().string();
+  tags.metadata["INPUT_IMAGES"] = names;
+  return tags;
+}
+
+/// How the values of all images can be kept as they are.
+rpc::CellType type_for(const scene::Scene& scene) {
+  bool bytes = true, whole = true;
+  for (const scene::View& view : scene.views) {
+    bytes = bytes && view.dtype == "uint8";
+    whole = whole && (view.dtype == "uint8" || view.dtype == "uint16" || view.dtype == "int16");
+  }
+  if (bytes) return rpc::CellType::uint8;
+  return whole ? rpc::CellType::uint16 : rpc::CellType::float32;
+}
+
+/// The channels of an image that are red, green and blue, or its first one.
+Tensor chosen_channels(const rpc::Image& image, const rpc::RgbChoice& choice, bool colour) {
+  const Index H = image.pixels.dim(1), W = image.pixels.dim(2), channels = colour ? 3 : 1;
+  auto out = Tensor::uninitialised({channels, H, W});
+  for (Index c = 0; c < channels; ++c)
+    std::copy_n(image.pixels.data() + choice.channels[static_cast<std::size_t>(c)] * H * W, H * W,
+                out.data() + c * H * W);
+  return out;
+}
+
+}  // namespace
+
+void write_surface(const fs::path& folder, const reconstruct::Reconstruction& made,
+                   const scene::Scene& scene, const reconstruct::Visibility& visibility) {
+  const rpc::LocalFrame& frame = scene.frame;
+  write_field(folder / "dsm.tif", made.dsm.z, made.dsm, frame, frame.h0,
+              with_inputs(rpc::ellipsoidal_height("Surface heights"), scene));
+  rpc::GeoTags unitless;
+  unitless.unit = "", unitless.description = "Confidence of the surface, 0 to 1";
+  write_field(folder / "confidence.tif", made.confidence, made.dsm, frame, 0,
+              with_inputs(unitless, scene));
+  rpc::GeoTags counts;
+  counts.unit = "", counts.description = "Number of images that see the cell";
+  counts.type = rpc::CellType::uint8, counts.nodata = 255, counts.means = false;
+  write_field(folder / "views.tif", visibility.views, made.dsm, frame, 0,
+              with_inputs(counts, scene));
+  if (!made.sigma.empty()) {
+    rpc::GeoTags expected;
+    expected.description = "Expected error of the heights, m";
+    write_field(folder / "height_sigma.tif", made.sigma, made.dsm, frame, 0,
+                with_inputs(expected, scene));
+  }
+  splat::write_ply(folder / "surfels.ply", made.surfels, frame_comments(frame));
+}
+
+void write_ortho(const fs::path& file, const reconstruct::Reconstruction& made,
+                 const scene::Scene& scene, const reconstruct::Visibility& visibility,
+                 const std::vector<fs::path>& image_dirs) {
+  const bool colour =
+      std::ranges::any_of(scene.views, [](const scene::View& v) { return v.bands >= 3; });
+  Tensor picture = reconstruct::orthophoto(made.dsm, made.images, visibility, [&](Index i) {
+    const scene::View& view = scene.views[static_cast<std::size_t>(i)];
+    return chosen_channels(rpc::open_view(view.file, image_dirs), view.colours, colour);
+  });
+  if (picture.empty())
+    throw Error("ortho: no image sees a cell of the surface, expected images of it");
+  rpc::GeoTags tags;
+  tags.unit = "", tags.description = "Orthophoto: each cell from the steepest image that sees it";
+  tags.type = type_for(scene);
+  if (tags.type != rpc::CellType::float32) {
+    tags.nodata = 0;  // which most programs take for nothing anyway; the darkest pixels become 1
+    for (float& v : picture.values()) v = std::max(v, 1.0F);
+  }
+  write_field(file, picture, made.dsm, scene.frame, 0, with_inputs(std::move(tags), scene));
+}
+
+}  // namespace satsurf::app

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/nn/input.h"
+#include "satsurf/scene/raycast.h"
+
+#include <functional>
+#include <vector>
+
+namespace satsurf::reconstruct {
+
+/// Which images see the cells of a surface.
+struct Visibility {
+  Tensor views;             ///< [H W] how many see the cell; NaN where it has no height
+  std::vector<Index> best;  ///< [H W] of those the one that looks down most steeply; -1 for none
+};
+/// Casts a ray from every cell's centre to every camera. Cells are columns with vertical walls, and
+/// one sees what lies on a valid pixel with nothing of the surface before it; cells without a height
+/// hide nothing.
+/// surface  in the local frame
+/// images   whole, in the same frame
+/// cost     at most a ray per view and cell
+Visibility find_visibility(const scene::HeightField& surface,
+                           const std::vector<nn::PosedImage>& images);
+
+/// The surface from straight above in the colours of the image that sees each cell best, so that no
+/// wall or roof is drawn on the ground that it hides. Seams between images of different light are
+/// not smoothed.
+/// surface, images  as for `find_visibility`
+/// pixels           of one of the images by its number, [C h w], asked for once and only where it is
+///                  the best of a cell; all of the same number of channels
+/// returns          [C H W], between pixels linear; NaN where no image sees the cell
+/// throws           ShapeError for pixels of another size than the image
+Tensor orthophoto(const scene::HeightField& surface, const std::vector<nn::PosedImage>& images,
+                  const Visibility& visibility, const std::function<Tensor(Index)>& pixels);
+
+}  // namespace satsurf::reconstruct
