@@ -19,6 +19,7 @@
 #include "satsurf/reconstruct/ortho.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
+#include "satsurf/reconstruct/warnings.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/scene/crop.h"

@@ -19,6 +19,7 @@
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
+#include "satsurf/reconstruct/warnings.h"
 #include "satsurf/scene/user_images.h"
 
 #include <algorithm>
@@ -27,6 +28,7 @@
 #include <cstdio>
 #include <functional>
 #include <memory>
+#include <new>
 #include <optional>
 #include <string>
 #include <utility>
@@ -75,15 +77,35 @@ void note_borders(const scene::Scene& scene, Progress& progress) {
                                 view.label(), 100 * view.border));
 }
 
-/// Warns of cameras that their quadratics do not follow well enough.
-void warn_of_fit(const reconstruct::Reconstruction& made, Progress& progress) {
-  constexpr double kWorst = 0.1;  // px; more shows in the heights
-  if (made.camera_fit_max_px <= kWorst) return;
-  progress.note(fmt::format("cameras were fitted to {:.2f} px only, expected {:.1f}; the images "
-                            "may be too large or the height range too wide",
-                            made.camera_fit_max_px, kWorst),
-                LogLevel::warning);
-}
+/// Tells warnings and keeps them for the record.
+class Warnings {
+ public:
+  Warnings(Progress& progress, RunRecord& record) : progress_(progress), record_(record) {}
+
+  void add(const reconstruct::Warning& warning) {
+    progress_.note(warning.text, LogLevel::warning);
+    record_.add_warning(warning.code, warning.text);
+  }
+  void add(const std::vector<reconstruct::Warning>& warnings) {
+    for (const reconstruct::Warning& warning : warnings) add(warning);
+  }
+  /// Does a part of the work that the surface can do without: its failure is a warning.
+  /// what  of the results it makes; `what` and _failed is the code
+  template <class F>
+  void attempt(const std::string& what, F&& work) {
+    try {
+      work();
+    } catch (const Error& e) {
+      add({what + "_failed", "no " + what + ": " + e.what()});
+    } catch (const std::bad_alloc&) {
+      add({what + "_failed", "no " + what + ": out of memory; try smaller images"});
+    }
+  }
+
+ private:
+  Progress& progress_;
+  RunRecord& record_;
+};
 
 void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene& user) {
   const rpc::LocalFrame& frame = user.scene.frame;
@@ -202,6 +224,7 @@ struct Summary {
   rpc::HeightRange heights;     ///< lowest and highest cell, m above the ellipsoid
   nlohmann::ordered_json mesh;  ///< see `write_mesh`; null without one
   double seconds = 0;           ///< that making the surface took
+  double wall_seconds = 0;      ///< that all took
 };
 
 /// What became of the images.
@@ -257,8 +280,18 @@ void print_summary(const reconstruct::Reconstruction& made, const scene::Scene& 
   if (!summary.mesh.is_null())
     std::printf("mesh          %td faces, voxels of %g m\n", summary.mesh["faces"].get<Index>(),
                 summary.mesh["voxel"].get<double>());
-  std::printf("time          %.1f s\n", summary.seconds);
+  std::printf("time          %.1f s, %.1f s of them for the surface\n", summary.wall_seconds,
+              summary.seconds);
   std::printf("written to    %s\n", out.c_str());
+}
+
+/// throws  Error for a surface with fewer cells than were asked for
+void check_coverage(double completeness, const ReconstructCommand& options) {
+  if (completeness >= options.min_coverage) return;
+  throw Error(
+      fmt::format("{:.1f} % of the common ground has a height, expected {:.1f} % by "
+                  "--min-coverage; the surface is in {}",
+                  100 * completeness, 100 * options.min_coverage, options.out.string()));
 }
 
 void run_reconstruct(const ReconstructCommand& options) {
@@ -275,9 +308,9 @@ void run_reconstruct(const ReconstructCommand& options) {
   std::optional<OutputFolder> staged;
   if (!options.dry_run)
     staged.emplace(OutputFolder::staged(options.out, options.overwrite, std::move(apart)));
+  RunRecord record("reconstruct", config_json(options, weights), 0);
   const nn::Model model = nn::load_model(weights);
   const std::optional<nn::SurfaceModel> network = nn::load_surface(weights);
-  RunRecord record("reconstruct", config_json(options, weights), 0);
 
   Progress progress;
   progress.update("read", 0);
@@ -290,6 +323,8 @@ void run_reconstruct(const ReconstructCommand& options) {
   const scene::Scene& scene = user.scene;
   note_range(user.range, progress);
   note_borders(scene, progress);
+  Warnings warnings(progress, record);
+  warnings.add(reconstruct::scene_warnings(scene));
   if (staged) {
     std::vector<fs::path> inputs{weights};
     for (const scene::View& view : scene.views)
@@ -315,32 +350,37 @@ void run_reconstruct(const ReconstructCommand& options) {
   const reconstruct::Reconstruction made = reconstruct::reconstruct(model, scene, how);
   Summary summary;
   summary.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  warn_of_fit(made, progress);
+  summary.heights = heights_found(made, scene.frame.h0, options.images);
+  warnings.add(reconstruct::surface_warnings(made, scene));
 
   progress.update("write", 0);
   const reconstruct::Visibility visibility = reconstruct::find_visibility(made.dsm, made.images);
   write_surface(folder.path(), made, scene, visibility);
   poll();
-  write_ortho(folder / "ortho.tif", made, scene, visibility, options.image_dirs);
+  warnings.attempt("orthophoto", [&] {
+    write_ortho(folder / "ortho.tif", made, scene, visibility, options.image_dirs);
+  });
   poll();
   std::vector<mesh::HeightImage> seen;
-  {
+  warnings.attempt("pictures", [&] {
     RenderedViews rendered = render_views(made, with_mesh, progress);
-    write_pictures(folder, made, scene, rendered, progress);
     seen = std::move(rendered.heights);
-  }
+    write_pictures(folder, made, scene, rendered, progress);
+  });
   poll();
-  summary.heights = heights_found(made, scene.frame.h0, options.images);
   if (with_mesh) {
     progress.update("mesh", 0);
-    summary.mesh = write_mesh(folder / "mesh.ply", seen, made, scene.frame);
+    warnings.attempt(
+        "mesh", [&] { summary.mesh = write_mesh(folder / "mesh.ply", seen, made, scene.frame); });
     progress.update("mesh", 1);
     poll();
   }
   record.results() = results_json(made, user, summary);
   record.save(folder / "run.json");
   folder.commit();
+  summary.wall_seconds = record.seconds();
   print_summary(made, scene, summary, options.out);
+  check_coverage(made.completeness, options);
 }
 
 }  // namespace

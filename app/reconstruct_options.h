@@ -38,7 +38,8 @@ struct ReconstructConfig {
   std::filesystem::path weights;  ///< empty for the shipped ones
   OptionalPair height_range;      ///< m above the ellipsoid
   reconstruct::Surface surface = reconstruct::Surface::automatic;
-  double resolution = 0;  ///< m, 0 for the images' own
+  double resolution = 0;    ///< m, 0 for the images' own
+  double min_coverage = 0;  ///< share of the common ground that must have a height
   MeshKind mesh = MeshKind::tsdf;
   double voxel = 0;  ///< of the mesh, m; 0 for two pixels on the ground
 
@@ -74,6 +75,13 @@ struct ReconstructConfig {
             .min = 0.01,
             .max = 1000,
             .automatic = "size of a pixel on the ground"});
+    v("min_coverage", s.min_coverage,
+      Field{.help =
+                "share of the images' common ground that must have a height; with less the files "
+                "are written all the same, and the exit code is 1",
+            .min = 0,
+            .max = 1,
+            .flag = "--min-coverage"});
     v("mesh", s.mesh,
       Field{.help = "how to make mesh.ply: of the fused heights of all views, or not at all"});
     v("voxel", s.voxel,

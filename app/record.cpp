@@ -86,11 +86,20 @@ void RunRecord::add_input(const std::filesystem::path& path) {
   inputs_.insert(inputs_.end(), found.begin(), found.end());
 }
 
+void RunRecord::add_warning(const std::string& code, const std::string& text) {
+  warnings_.emplace_back(code, text);
+}
+
+double RunRecord::seconds() const {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - clock_).count();
+}
+
 nlohmann::ordered_json RunRecord::json() const {
-  const std::chrono::duration<double> wall = std::chrono::steady_clock::now() - clock_;
   nlohmann::ordered_json inputs = nlohmann::ordered_json::array();
   for (const Input& i : inputs_)
     inputs.push_back({{"path", i.path}, {"bytes", i.bytes}, {"sha256", i.sha256}});
+  nlohmann::ordered_json warnings = nlohmann::ordered_json::array();
+  for (const auto& [code, text] : warnings_) warnings.push_back({{"code", code}, {"text", text}});
   nlohmann::ordered_json j;
   j["program"] = kProgram;
   j["version"] = program_version();
@@ -102,10 +111,11 @@ nlohmann::ordered_json RunRecord::json() const {
   j["isa"] = isa_name(active_isa());
   j["threads"] = threads();
   j["started"] = utc(started_);
-  j["wall_seconds"] = wall.count();
+  j["wall_seconds"] = seconds();
   j["peak_memory_bytes"] = peak_memory_bytes();
   j["peak_tensor_bytes"] = peak_tensor_bytes();
   j["inputs"] = inputs;
+  j["warnings"] = warnings;
   j["results"] = results_;
   return j;
 }
@@ -125,6 +135,7 @@ std::vector<std::pair<std::string, std::string>> record_keys() {
           {"peak_memory_bytes", "largest resident size"},
           {"peak_tensor_bytes", "largest size of all tensors together"},
           {"inputs", "files that were read: path, bytes, sha256"},
+          {"warnings", "reasons to look twice at the outcome: code, text"},
           {"results", "what came of it"}};
 }
 

@@ -28,11 +28,18 @@ class RunRecord {
   /// Notes size and SHA-256 of a file, or of every file below a folder; of each file once.
   /// throws  IoError
   void add_input(const std::filesystem::path& path);
+  /// Notes a reason to look twice at the outcome.
+  /// code  for programs
+  /// text  in words
+  void add_warning(const std::string& code, const std::string& text);
+  /// Seconds since the clock was started.
+  double seconds() const;
   /// Whatever the command has to say about its outcome.
   nlohmann::json& results() { return results_; }
 
   /// program, version, git, command, config, seed, host, isa, threads, started (UTC), wall_seconds,
-  /// peak_memory_bytes, peak_tensor_bytes, inputs [{path, bytes, sha256}], results.
+  /// peak_memory_bytes, peak_tensor_bytes, inputs [{path, bytes, sha256}], warnings [{code, text}],
+  /// results.
   nlohmann::ordered_json json() const;
   /// Writes `json()`, whole or not at all.
   /// throws  IoError
@@ -49,6 +56,7 @@ class RunRecord {
   nlohmann::json config_, results_ = nlohmann::json::object();
   std::uint64_t seed_;
   std::vector<Input> inputs_;
+  std::vector<std::pair<std::string, std::string>> warnings_;
   std::chrono::system_clock::time_point started_;
   std::chrono::steady_clock::time_point clock_;
 };

@@ -4,6 +4,7 @@
 #include "satsurf/app/record.h"
 #include "satsurf/evaluate/confidence.h"
 #include "satsurf/evaluate/table.h"
+#include "satsurf/reconstruct/warnings.h"
 
 #include <algorithm>
 #include <cctype>
@@ -87,6 +88,12 @@ std::string commands_text(const Program& program, std::size_t common) {
   return out;
 }
 
+Rows pairs_of(const std::vector<std::pair<std::string, std::string>>& pairs) {
+  Rows rows;
+  for (const auto& [key, meaning] : pairs) rows.push_back({key, meaning});
+  return rows;
+}
+
 std::string columns_text() {
   const std::vector<evaluate::TableColumn> columns = evaluate::table_columns();
   std::string out =
@@ -142,9 +149,11 @@ std::string reference(const Program& program) {
       "the file of `evaluate --json`) is such a file too: it\nrepeats the run, but brings neither "
       "the places of results nor, of `train`, `--data` and `--seed`.\n\n"
       "## Records\n\n";
-  Rows keys;
-  for (const auto& [key, meaning] : record_keys()) keys.push_back({key, meaning});
-  out += table({"Key", "Meaning"}, keys);
+  out += table({"Key", "Meaning"}, pairs_of(record_keys()));
+  out += "## Warnings of reconstruct\n\n" +
+         table({"Code", "Where"}, pairs_of(reconstruct::warning_codes())) +
+         "Besides, PART_failed where a part could not be made that the surface can do without: "
+         "orthophoto,\npictures or mesh.\n\n";
   out += columns_text();
   out += "## Exit codes\n\n" +
          table({"Code", "Meaning"}, {{"0", "done"},

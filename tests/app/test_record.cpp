@@ -67,6 +67,7 @@ TEST_CASE("record: holds what a run depended on") {
   record.add_input(folder / "data");
   record.add_input(folder / "one.tif");
   record.results()["mae"] = 1.25;
+  record.add_warning("large_gaps", "41 % has a height");
   record.save(folder / "out/run.json");
 
   const auto j = load_json_file(folder / "out/run.json");
@@ -92,6 +93,7 @@ TEST_CASE("record: holds what a run depended on") {
   CHECK(j["inputs"][1]["path"] == (folder / "data/sub/a.tif").string());
   CHECK(j["inputs"][1]["bytes"] == 0);
   CHECK(j["inputs"][2]["sha256"] == sha256("xy"));
+  CHECK(j["warnings"] == nlohmann::json{{{"code", "large_gaps"}, {"text", "41 % has a height"}}});
   CHECK(j["results"] == nlohmann::json{{"mae", 1.25}});
 
   std::vector<std::string> keys;

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/reconstruct/reconstruct.h"
+
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace satsurf::reconstruct {
+
+/// A reason to look twice at a surface.
+struct Warning {
+  std::string code;  ///< for programs; see `warning_codes`
+  std::string text;  ///< in words, one line, with the numbers
+};
+
+/// What the images let fear before anything is computed: parallax too small or too large, suns or
+/// dates far apart, a ground size unlike anything the weights were trained on.
+std::vector<Warning> scene_warnings(const scene::Scene& scene);
+
+/// What the surface lets fear: heights piled up at an end of the range that was searched, low
+/// confidence, large gaps, cameras that their quadratics do not follow.
+/// scene  that the surface was made of
+std::vector<Warning> surface_warnings(const Reconstruction& made, const scene::Scene& scene);
+
+/// Every code with what it stands for and from which number on.
+std::vector<std::pair<std::string, std::string>> warning_codes();
+
+}  // namespace satsurf::reconstruct

@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/reconstruct/warnings.h"
+
+#include <algorithm>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::reconstruct;
+
+namespace {
+
+/// A view from `west` m to the west per metre of height, with pixels of `size` m.
+scene::View view_from(const std::string& name, double west, double size = 0.5) {
+  constexpr double kPixels = 100, kMetresPerDegree = 110575;  // near 10 degrees of latitude
+  scene::View v;
+  v.name = name;
+  v.rgb = Tensor({3, 100, 100}), v.valid = Tensor({100, 100}, 1.0F);
+  v.rpc.samp_off = v.rpc.line_off = (kPixels - 1) / 2;
+  v.rpc.samp_scale = v.rpc.line_scale = kPixels / 2;
+  v.rpc.lon_off = 21, v.rpc.lat_off = 10, v.rpc.height_off = 20, v.rpc.height_scale = 100;
+  v.rpc.lat_scale = kPixels / 2 * size / kMetresPerDegree;
+  v.rpc.lon_scale = kPixels / 2 * size / 109640;
+  v.rpc.samp_num[1] = 1, v.rpc.line_num[2] = -1;
+  v.rpc.samp_num[3] = west / size * v.rpc.height_scale / v.rpc.samp_scale;
+  v.rpc.samp_den[0] = v.rpc.line_den[0] = 1;
+  return v;
+}
+
+scene::Scene scene_of(std::vector<scene::View> views) {
+  scene::Scene scene;
+  scene.frame.zone = rpc::utm_zone_of(21, 10);
+  const auto origin = rpc::utm_from_geodetic(scene.frame.zone, 21, 10);
+  scene.frame.easting0 = origin[0], scene.frame.northing0 = origin[1], scene.frame.h0 = 20;
+  scene.views = std::move(views);
+  scene.z_range = {-20, 30};
+  return scene;
+}
+
+/// A surface of a hundred cells in the middle of the range, of which nothing bad can be said.
+Reconstruction good_surface() {
+  Reconstruction made;
+  made.dsm.z = Tensor({10, 10}, 3.0F);
+  made.confidence = Tensor({10, 10}, 0.7F);
+  made.completeness = 0.97;
+  return made;
+}
+
+std::vector<std::string> codes(const std::vector<Warning>& warnings) {
+  std::vector<std::string> out;
+  const auto known = warning_codes();
+  for (const Warning& w : warnings) {
+    CHECK(std::ranges::any_of(known, [&](const auto& k) { return k.first == w.code; }));
+    CHECK(w.text.find('\n') == std::string::npos);
+    out.push_back(w.code);
+  }
+  return out;
+}
+using Codes = std::vector<std::string>;
+
+}  // namespace
+
+TEST_CASE("warnings of the images") {
+  scene::View a = view_from("a", 0.1), b = view_from("b", -0.15), c = view_from("c", 0.3);
+  CHECK(codes(scene_warnings(scene_of({a, b, c}))).empty());
+  CHECK(codes(scene_warnings(scene_of({view_from("a", 0.1, 1), view_from("b", -0.1, 1)}))) ==
+        Codes{"ground_size"});
+  CHECK(codes(scene_warnings(scene_of({view_from("a", 0.1, 0.1), view_from("b", -0.1, 0.1)}))) ==
+        Codes{"ground_size"});
+  CHECK(codes(scene_warnings(scene_of({a, view_from("b", 0.15), view_from("c", 0.17)}))) ==
+        Codes{"little_parallax"});
+  const auto much = scene_warnings(scene_of({view_from("a", 0.6), view_from("b", -0.6)}));
+  REQUIRE(codes(much) == Codes{"much_parallax"});
+  CHECK(much[0].text.find("a and b are 1.20 m") != std::string::npos);
+  // one pair that is near enough is enough
+  CHECK(codes(scene_warnings(scene_of({view_from("a", 0.6), view_from("b", -0.6), a}))).empty());
+
+  a.sun_elevation_deg = b.sun_elevation_deg = 45;
+  a.sun_azimuth_deg = 120, b.sun_azimuth_deg = 150;  // 21 degrees apart at this height
+  CHECK(codes(scene_warnings(scene_of({a, b, c}))).empty());
+  b.sun_azimuth_deg = 240;
+  CHECK(codes(scene_warnings(scene_of({a, b, c}))) == Codes{"suns_apart"});
+  b.sun_azimuth_deg = 120;
+  a.date = "2015-02-15T16:12:08Z", b.date = "20151101120000", c.date = "not known";
+  CHECK(codes(scene_warnings(scene_of({a, b, c}))).empty());
+  c.date = "20170301";
+  const auto years = scene_warnings(scene_of({a, b, c}));
+  REQUIRE(codes(years) == Codes{"dates_apart"});
+  CHECK(years[0].text.find("a and c are 2.0 years apart") != std::string::npos);
+}
+
+TEST_CASE("warnings of the surface") {
+  const scene::Scene scene = scene_of({view_from("a", 0.1), view_from("b", -0.15)});
+  CHECK(codes(surface_warnings(good_surface(), scene)).empty());
+  Reconstruction made = good_surface();
+  for (Index i = 0; i < 10; ++i) made.dsm.z[i] = 29.5F;
+  const auto piled = surface_warnings(made, scene);
+  REQUIRE(codes(piled) == Codes{"end_of_range"});
+  CHECK(
+      piled[0].text.starts_with("10 % of the surface lie at the upper end of the height range, "
+                                "50.0 m"));
+  for (Index i = 0; i < 10; ++i) made.dsm.z[i] = -19.5F;
+  CHECK(surface_warnings(made, scene)[0].text.find("lower end of the height range, 0.0 m") !=
+        std::string::npos);
+  for (Index i = 4; i < 10; ++i) made.dsm.z[i] = std::numeric_limits<float>::quiet_NaN();
+  CHECK(codes(surface_warnings(made, scene)).empty());  // 4 of 94
+  made = good_surface();
+  made.confidence.fill(0.2F);
+  CHECK(codes(surface_warnings(made, scene)) == Codes{"low_confidence"});
+  made = good_surface();
+  made.completeness = 0.5;
+  CHECK(codes(surface_warnings(made, scene)) == Codes{"large_gaps"});
+  made = good_surface();
+  made.camera_fit_max_px = 0.4;
+  CHECK(codes(surface_warnings(made, scene)) == Codes{"camera_fit"});
+}
