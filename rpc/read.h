@@ -22,7 +22,7 @@ struct RasterInfo {
   Index width = 0, height = 0, bands = 0;
   std::string dtype;  ///< uint8, uint16, int16, float32 or another of GDAL's, in these words
   std::optional<Rpc> rpc;
-  /// Where the camera came from: "TIFF tag", "RPB", "_RPC.TXT", "Maxar XML", "DIMAP", ".rpc file",
+  /// Where the camera came from: "TIFF tag", "RPB", "_RPC.TXT", "Maxar XML", "DIMAP", ".rpc file", ".aux.xml",
   /// "NITF" or "Sat-NeRF JSON"; another driver's name for other formats. Empty without a camera.
   std::string rpc_source;
   std::vector<std::string> tried;  ///< the places looked in for a camera, best first
@@ -50,7 +50,7 @@ struct PixelWindow {
 };
 
 /// Any raster GDAL opens. The camera may sit in the file (TIFF tag, NITF RPC00B) or beside it
-/// (NAME.RPB, NAME.XML, NAME_RPC.TXT, NAME.rpc; RPC_NAME.XML beside IMG_NAME).
+/// (NAME.RPB, NAME.XML, NAME_RPC.TXT, NAME.rpc, NAME.tif.aux.xml; RPC_NAME.XML beside IMG_NAME).
 /// throws  IoError
 RasterInfo read_info(const std::filesystem::path& path);
 
@@ -89,7 +89,7 @@ Rpc rpc_from_gdal_metadata(const std::map<std::string, std::string>& items,
 
 /// A camera file without its image, the dialect told by its content: `_RPC.TXT` ("KEY: value unit";
 /// IKONOS, GeoEye, Planet, SkySat), `.RPB`, Maxar XML, DIMAP XML (its pixels count from 1; ours
-/// from 0), the 170 lines of WHU-TLC (whose inverse half is not used), Sat-NeRF JSON.
+/// from 0), GDAL .aux.xml, the 170 lines of WHU-TLC (whose inverse half is not used), Sat-NeRF JSON.
 /// throws  IoError
 Rpc read_rpc_file(const std::filesystem::path& path);
 

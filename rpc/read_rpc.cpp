@@ -193,8 +193,18 @@ Items items_of_xml(const std::string& text, const std::string& where) {
       }
     return items;
   }
+  const CPLXMLNode* gdal = CPLSearchXMLNode(root.get(), "=PAMDataset");
+  for (const CPLXMLNode* list = gdal ? gdal->psChild : nullptr; list; list = list->psNext) {
+    if (!EQUAL(list->pszValue, "Metadata") || !EQUAL(CPLGetXMLValue(list, "domain", ""), "RPC"))
+      continue;
+    for (const CPLXMLNode* item = list->psChild; item; item = item->psNext)
+      if (EQUAL(item->pszValue, "MDI"))
+        items[CPLGetXMLValue(item, "key", "")] = CPLGetXMLValue(item, nullptr, "");
+    return items;
+  }
   throw IoError(where +
-                ": XML without a camera, expected an RPB (Maxar) or Global_RFM (DIMAP) element");
+                ": XML without a camera, expected an RPB (Maxar) or Global_RFM (DIMAP) "
+                "element, or GDAL's metadata of the domain RPC");
 }
 
 using Json = nlohmann::json;

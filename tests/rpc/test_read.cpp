@@ -293,6 +293,30 @@ TEST_CASE("a camera that GDAL leaves aside is found all the same") {
         }).find(": no camera (RPC)") != std::string::npos);
 }
 
+TEST_CASE("a camera in the file of metadata that GDAL leaves beside an image") {
+  const TempFolder folder("aux");
+  const Rpc rpc = test::synthetic_rpc();
+  write_rpc_geotiff(folder / "t.tif", Tensor({1, 6, 8}, 90.0F), PixelType::uint8, rpc);
+  {
+    const std::unique_ptr<GDALDataset> from(GDALDataset::Open((folder / "t.tif").c_str()));
+    auto* png = GetGDALDriverManager()->GetDriverByName("PNG");
+    REQUIRE(png);
+    const std::unique_ptr<GDALDataset> to(
+        png->CreateCopy((folder / "a.png").c_str(), from.get(), FALSE, nullptr, nullptr, nullptr));
+    REQUIRE(to);
+  }
+  const auto aux = folder / "a.png.aux.xml";
+  REQUIRE(std::filesystem::exists(aux));
+  const RasterInfo info = view_info(folder / "a.png");
+  REQUIRE(info.rpc);
+  CHECK(info.rpc_source == ".aux.xml");
+  CHECK(worst_difference(rpc, *info.rpc) < 1e-6);  // GDAL writes 15 digits
+  CHECK(std::count(info.files.begin(), info.files.end(), aux) == 1);
+  // one that holds statistics alone is no camera
+  write_bytes(aux, "<PAMDataset><Metadata><MDI key=\"A\">1</MDI></Metadata></PAMDataset>");
+  CHECK_THROWS_AS(view_info(folder / "a.png"), IoError);
+}
+
 TEST_CASE("NITF carries its camera in RPC00B") {
   const TempFolder folder("nitf");
   Rpc rpc = test::synthetic_rpc();
@@ -340,7 +364,9 @@ TEST_CASE("damaged camera files are refused by name") {
   CHECK(says(text).find(p + ": LAT_SCALE is '") == 0);
   CHECK(says("<a><b></a>").find(p + ": damaged XML; ") == 0);
   CHECK(says("<a/>") ==
-        p + ": XML without a camera, expected an RPB (Maxar) or Global_RFM (DIMAP) element");
+        p + ": XML without a camera, expected an RPB (Maxar) or Global_RFM (DIMAP) element, or "
+            "GDAL's metadata of the domain RPC");
+  CHECK(says("<PAMDataset><Metadata domain=\"RPC\"/></PAMDataset>").find(p + ": ") == 0);
   CHECK(says("{\"row_offset\": ") == p + ": damaged JSON at byte 16");
   Rpc flat = rpc;
   flat.lon_scale = 0;
@@ -433,7 +459,7 @@ TEST_CASE("a view is a raster or a JSON that names one") {
   CHECK(error_of<IoError>([&] { open_view(folder / "bare.tif"); }) ==
         (folder / "bare.tif").string() +
             ": no camera (RPC), looked for bare.RPB, bare.XML, bare_RPC.TXT, bare_rpc.txt, "
-            "bare.rpc, the "
+            "bare.rpc, bare.tif.aux.xml, the "
             "TIFF tag or NITF RPC00B "
             "of the file itself");
 }
