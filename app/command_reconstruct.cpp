@@ -355,7 +355,7 @@ void run_reconstruct(const ReconstructCommand& options) {
 
   progress.update("write", 0);
   const reconstruct::Visibility visibility = reconstruct::find_visibility(made.dsm, made.images);
-  write_surface(folder.path(), made, scene, visibility);
+  write_surface(folder.path(), made, scene, visibility, options.max_surfels);
   poll();
   warnings.attempt("orthophoto", [&] {
     write_ortho(folder / "ortho.tif", made, scene, visibility, options.image_dirs);

@@ -40,6 +40,7 @@ struct ReconstructConfig {
   reconstruct::Surface surface = reconstruct::Surface::automatic;
   double resolution = 0;    ///< m, 0 for the images' own
   double min_coverage = 0;  ///< share of the common ground that must have a height
+  Index max_surfels = 0;    ///< of surfels.ply, 0 for all
   MeshKind mesh = MeshKind::tsdf;
   double voxel = 0;  ///< of the mesh, m; 0 for two pixels on the ground
 
@@ -82,6 +83,12 @@ struct ReconstructConfig {
             .min = 0,
             .max = 1,
             .flag = "--min-coverage"});
+    v("max_surfels", s.max_surfels,
+      Field{.help = "most surfels that surfels.ply may hold; fewer are larger, and the rasters and "
+                    "the mesh are made of all",
+            .min = 1,
+            .automatic = "all",
+            .flag = "--max-surfels"});
     v("mesh", s.mesh,
       Field{.help = "how to make mesh.ply: of the fused heights of all views, or not at all"});
     v("voxel", s.voxel,

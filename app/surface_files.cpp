@@ -4,6 +4,7 @@
 #include "satsurf/app/products.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/splat/ply.h"
+#include "satsurf/splat/select.h"
 
 #include <algorithm>
 #include <string>
@@ -47,7 +48,8 @@ Tensor chosen_channels(const rpc::Image& image, const rpc::RgbChoice& choice, bo
 }  // namespace
 
 void write_surface(const fs::path& folder, const reconstruct::Reconstruction& made,
-                   const scene::Scene& scene, const reconstruct::Visibility& visibility) {
+                   const scene::Scene& scene, const reconstruct::Visibility& visibility,
+                   Index most_surfels) {
   const rpc::LocalFrame& frame = scene.frame;
   write_field(folder / "dsm.tif", made.dsm.z, made.dsm, frame, frame.h0,
               with_inputs(rpc::ellipsoidal_height("Surface heights"), scene));
@@ -66,7 +68,9 @@ void write_surface(const fs::path& folder, const reconstruct::Reconstruction& ma
     write_field(folder / "height_sigma.tif", made.sigma, made.dsm, frame, 0,
                 with_inputs(expected, scene));
   }
-  splat::write_ply(folder / "surfels.ply", made.surfels, frame_comments(frame));
+  splat::write_ply(folder / "surfels.ply",
+                   most_surfels > 0 ? splat::thinned(made.surfels, most_surfels) : made.surfels,
+                   frame_comments(frame));
 }
 
 void write_ortho(const fs::path& file, const reconstruct::Reconstruction& made,

@@ -11,10 +11,12 @@
 namespace satsurf::app {
 
 /// Writes dsm.tif, confidence.tif, views.tif and surfels.ply.
-/// folder  to write into
-/// throws  IoError
+/// folder        to write into
+/// most_surfels  that the file may hold, 0 for all; the surface itself is made of all
+/// throws        IoError
 void write_surface(const std::filesystem::path& folder, const reconstruct::Reconstruction& made,
-                   const scene::Scene& scene, const reconstruct::Visibility& visibility);
+                   const scene::Scene& scene, const reconstruct::Visibility& visibility,
+                   Index most_surfels);
 
 /// Writes ortho.tif. The images are read once more, for the values as they are stored.
 /// image_dirs  where else to look for the images JSON files name

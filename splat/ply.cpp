@@ -210,9 +210,11 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
     double q[4], square = 0;
     for (Index i = 0; i < 4; ++i) q[i] = at(surfels.quats, 4, i), square += q[i] * q[i];
     for (std::size_t i = 0; i < 4; ++i) put(kQuat + i, q[i] /= std::sqrt(square));
-    put(kNormal, 2 * (q[1] * q[3] + q[0] * q[2]));
-    put(kNormal + 1, 2 * (q[2] * q[3] - q[0] * q[1]));
-    put(kNormal + 2, 1 - 2 * (q[1] * q[1] + q[2] * q[2]));
+    // a disc is the same from both sides; what is outside of a surface seen from above is up
+    const double up = 1 - 2 * (q[1] * q[1] + q[2] * q[2]), outwards = up < 0 ? -1 : 1;
+    put(kNormal, outwards * 2 * (q[1] * q[3] + q[0] * q[2]));
+    put(kNormal + 1, outwards * 2 * (q[2] * q[3] - q[0] * q[1]));
+    put(kNormal + 2, outwards * up);
     for (std::size_t i = 0; i < 3; ++i) {
       put(kMean + i, at(surfels.means, 3, i));
       put(kColour + i, (at(surfels.colours, 3, i) - 0.5) / kDegreeZero);

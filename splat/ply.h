@@ -12,7 +12,7 @@ namespace satsurf::splat {
 /// Writes surfels as a binary little-endian PLY with the property names of 3D Gaussian splatting
 /// viewers:
 ///   x y z         m
-///   nx ny nz      unit normal
+///   nx ny nz      unit normal, upwards whichever way rot turns the disc
 ///   f_dc_0..2     (colour - 0.5) / 0.28209479
 ///   opacity       logit
 ///   scale_0..2    natural logarithms of metres; scale_2 is log(1e-6)

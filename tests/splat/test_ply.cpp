@@ -7,6 +7,7 @@
 #include <fstream>
 #include <iterator>
 #include <limits>
+#include <numbers>
 #include <string>
 #include <vector>
 
@@ -106,13 +107,13 @@ TEST_CASE("ply: the bytes are what viewers expect") {
   CHECK(got.substr(0, want.size()) == want);
   float v[17];
   std::memcpy(v, got.data() + want.size(), sizeof(v));
-  // half a turn about x: the normal points down
+  // half a turn about x: the disc lies on its face, and its normal is told upwards all the same
   const double expected[17] = {1,
                                2,
                                3,
                                0,
                                0,
-                               -1,
+                               1,
                                0,
                                0.5 / 0.28209479,
                                -0.5 / 0.28209479,
@@ -126,6 +127,14 @@ TEST_CASE("ply: the bytes are what viewers expect") {
                                0};
   for (std::size_t i = 0; i < 17; ++i)
     CHECK(static_cast<double>(v[i]) == doctest::Approx(expected[i]).epsilon(1e-6));
+  // 150 degrees about x
+  const double half = 75 * std::numbers::pi / 180;
+  s.quats = one({static_cast<float>(std::cos(half)), static_cast<float>(std::sin(half)), 0, 0});
+  splat::write_ply(file.path, s, {});
+  std::memcpy(v, file.bytes().data() + want.size(), sizeof(v));
+  CHECK(std::abs(v[3]) < 1e-6F);
+  CHECK(static_cast<double>(v[4]) == doctest::Approx(0.5));
+  CHECK(static_cast<double>(v[5]) == doctest::Approx(std::cos(std::numbers::pi / 6)));
 }
 
 TEST_CASE("ply: another order of properties, further ones, and a header of another program") {
