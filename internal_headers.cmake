@@ -9,7 +9,7 @@ set(satsurf_internal_headers
   "/splat/bin\\.h$"
   "/rpc/gdal\\.h$"
   "/mesh/sampled_view\\.h$"
-  "/scene/(ray_walk|satnerf|sight_lines)\\.h$"
+  "/scene/(grey_pyramid|ray_walk|satnerf|sight_lines)\\.h$"
   "/scene/simulate/(city|conditions|develop|dress|given|layout|noise|orbit|render|texture)\\.h$"
   "/reconstruct/(cast|cell_mode|cell_surfels|cross_check|fusion|narrow|surface_input|trust)\\.h$"
   "/train/(sample_batch)\\.h$"

@@ -26,6 +26,8 @@
 #include "satsurf/scene/dataset.h"
 #include "satsurf/scene/height_range.h"
 #include "satsurf/scene/image_in_memory.h"
+#include "satsurf/scene/pointing.h"
+#include "satsurf/scene/pointing_file.h"
 #include "satsurf/scene/scene.h"
 #include "satsurf/scene/simulate/scene.h"
 #include "satsurf/scene/user_images.h"

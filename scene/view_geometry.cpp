@@ -3,6 +3,7 @@
 
 #include "satsurf/rpc/fit.h"
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <utility>
@@ -19,6 +20,25 @@ Polygon footprint(const rpc::Rpc& rpc, Index width, Index height, const rpc::Utm
     corners.push_back(rpc::utm_from_geodetic(zone, g.lon, g.lat));
   }
   return counter_clockwise(std::move(corners));
+}
+
+CommonGround common_ground(const rpc::Rpc& a, Index width_a, Index height_a, const rpc::Rpc& b,
+                           Index width_b, Index height_b, double h) {
+  constexpr double kOneZone = 3;  // degrees; further apart nothing can overlap
+  const rpc::Geodetic p =
+      a.localize({static_cast<double>(width_a) / 2, static_cast<double>(height_a) / 2}, h);
+  const rpc::Geodetic q =
+      b.localize({static_cast<double>(width_b) / 2, static_cast<double>(height_b) / 2}, h);
+  CommonGround out{.zone = rpc::utm_zone_of(p.lon, p.lat), .both = {}};
+  if (std::abs(std::remainder(p.lon - q.lon, 360)) >= kOneZone ||
+      std::abs(p.lat - q.lat) >= kOneZone)
+    return out;
+  const Polygon of_a = footprint(a, width_a, height_a, out.zone, h),
+                of_b = footprint(b, width_b, height_b, out.zone, h);
+  out.both = intersect(of_a, of_b);
+  if (!out.both.empty())
+    out.share = polygon_area(out.both) / std::min(polygon_area(of_a), polygon_area(of_b));
+  return out;
 }
 
 ViewAngles view_angles(const rpc::Rpc& rpc, Index width, Index height, double h) {

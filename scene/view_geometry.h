@@ -14,6 +14,18 @@ namespace satsurf::scene {
 Polygon footprint(const rpc::Rpc& rpc, Index width, Index height, const rpc::UtmZone& zone,
                   double h);
 
+/// What two images both see at height h above the ellipsoid; empty if they do not meet, which images
+/// degrees apart never do.
+struct CommonGround {
+  rpc::UtmZone zone;  ///< of the polygon
+  Polygon both;
+  double share = 0;  ///< of the smaller image
+};
+/// a, b, with the width and height of their images in px
+/// throws  Error
+CommonGround common_ground(const rpc::Rpc& a, Index width_a, Index height_a, const rpc::Rpc& b,
+                           Index width_b, Index height_b, double h);
+
 /// How a camera looks at its image's centre at height h.
 struct ViewAngles {
   double gsd = 0;            ///< ground size of a pixel across the ray, m

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/scene/pointing.h"
+
+#include "satsurf/core/error.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <numeric>
+#include <utility>
+
+namespace satsurf::scene {
+namespace {
+
+constexpr Index kFewest = 20;   // points that make a pair believable
+constexpr double kWorth = 0.3;  // px; smaller shifts change no surface that anybody could tell
+
+std::vector<rpc::Rpc> cameras_of(const std::vector<View>& views) {
+  std::vector<rpc::Rpc> out;
+  for (const View& v : views) out.push_back(v.rpc);
+  return out;
+}
+
+std::string number(const char* format, double value) {
+  char text[64];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+
+/// Group of each image when pairs with enough points are one group.
+std::vector<std::size_t> groups_of(std::size_t images, const std::vector<PairResidual>& pairs) {
+  std::vector<std::size_t> group(images);
+  std::iota(group.begin(), group.end(), std::size_t{0});
+  for (const PairResidual& pair : pairs) {
+    if (pair.ties < kFewest) continue;
+    const std::size_t from = std::max(group[pair.a], group[pair.b]),
+                      to = std::min(group[pair.a], group[pair.b]);
+    std::replace(group.begin(), group.end(), from, to);
+  }
+  return group;
+}
+
+/// Says which image shares too little with the others; empty if all are connected.
+std::string unconnected(const std::vector<View>& views, const std::vector<PairResidual>& pairs) {
+  const std::vector<std::size_t> group = groups_of(views.size(), pairs);
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    if (group[i] == group[0]) continue;
+    Index most = 0;
+    for (const PairResidual& pair : pairs)
+      if ((pair.a == i || pair.b == i) && group[pair.a] != group[pair.b])
+        most = std::max(most, pair.ties);
+    return views[i].label() + " shares " + std::to_string(most) +
+           " tie points with another image, expected " + std::to_string(kFewest) + " or more";
+  }
+  return {};
+}
+
+/// The middle nine tenths of the points' heights.
+std::optional<rpc::HeightRange> middle_of(std::vector<double> heights) {
+  if (heights.empty()) return std::nullopt;
+  std::sort(heights.begin(), heights.end());
+  const auto at = [&](double share) {
+    return heights[static_cast<std::size_t>(share * static_cast<double>(heights.size() - 1))];
+  };
+  return rpc::HeightRange{at(0.05), at(0.95)};
+}
+
+/// Notes how the cameras agree with the shifts in `out`.
+void note_after(Pointing& out, const std::vector<rpc::Rpc>& cameras,
+                const std::vector<TiePoint>& points, double height) {
+  TieResiduals after = tie_residuals(cameras, out.shifts, points, height);
+  out.after = std::move(after.pairs);
+  out.heights = middle_of(std::move(after.heights));
+}
+
+/// What is known without a shift.
+Pointing agreement(const std::vector<View>& views, const std::vector<TiePoint>& points,
+                   double height) {
+  Pointing out;
+  for (const View& v : views) out.names.push_back(v.name);
+  out.shifts.resize(views.size());
+  TieResiduals before = tie_residuals(cameras_of(views), out.shifts, points, height);
+  out.before = std::move(before.pairs);
+  out.heights = middle_of(std::move(before.heights));
+  return out;
+}
+
+}  // namespace
+
+double Pointing::largest_shift() const {
+  double largest = 0;
+  for (const rpc::Pixel& s : shifts) largest = std::max(largest, std::hypot(s.x, s.y));
+  return largest;
+}
+
+void apply_pointing(const Pointing& pointing, std::vector<View>& views) {
+  for (std::size_t i = 0; i < views.size(); ++i)
+    views[i].rpc = views[i].rpc.cropped(-pointing.shifts[i].x, -pointing.shifts[i].y);
+}
+
+double mean_across(const std::vector<PairResidual>& pairs) {
+  double sum = 0, ties = 0;
+  for (const PairResidual& pair : pairs) {
+    sum += static_cast<double>(pair.ties) * pair.across;
+    ties += static_cast<double>(pair.ties);
+  }
+  return ties > 0 ? sum / ties : 0;
+}
+
+Pointing measure_pointing(const std::vector<View>& views, const rpc::HeightRange& height_range,
+                          const std::function<void()>& poll) {
+  const std::vector<TiePoint> points =
+      find_tie_points(views, height_range, kLargestPointingError, poll);
+  const double height = height_range.middle();
+  Pointing out = agreement(views, points, height);
+  if (const std::string alone = unconnected(views, out.before); !alone.empty()) {
+    out.verdict = "not estimated: " + alone;
+    return out;
+  }
+  const std::vector<rpc::Rpc> cameras = cameras_of(views);
+  PointingAdjustment found = adjust_pointing(cameras, points, height);
+  out.shifts = std::move(found.shifts);
+  out.observable = found.observable;
+  note_after(out, cameras, points, height);
+  const double before = mean_across(out.before), after = mean_across(out.after),
+               largest = out.largest_shift();
+  if (largest <= kWorth)
+    out.verdict = "not needed: the largest shift is " + number("%.2f px", largest) +
+                  number(", no more than %g px", kWorth);
+  else if (after >= before)
+    out.verdict = "of no use: with shifts the images agree to " + number("%.2f px", after) +
+                  number(", without to %.2f px", before);
+  else
+    out.applied = true, out.verdict = "estimated from the images";
+  return out;
+}
+
+Pointing given_pointing(const std::vector<View>& views, const NamedShifts& shifts,
+                        const rpc::HeightRange& height_range, const std::function<void()>& poll) {
+  std::vector<rpc::Pixel> chosen;
+  for (const View& v : views) {
+    const auto at = shifts.find(v.name);
+    if (at == shifts.end()) {
+      std::string names;
+      for (const auto& [name, shift] : shifts) names += (names.empty() ? "" : ", ") + name;
+      throw ConfigError("pointing: no shift for " + v.name + ", expected one for every image (" +
+                        (names.empty() ? "none" : names) + " given)");
+    }
+    chosen.push_back(at->second);
+  }
+  // Points are looked for where the shifted cameras see them, which is as far as they are off.
+  std::vector<View> shifted = views;
+  for (std::size_t i = 0; i < views.size(); ++i)
+    shifted[i].rpc = views[i].rpc.cropped(-chosen[i].x, -chosen[i].y);
+  const std::vector<TiePoint> points =
+      find_tie_points(shifted, height_range, kLargestPointingError, poll);
+  Pointing out = agreement(views, points, height_range.middle());
+  out.shifts = std::move(chosen);
+  note_after(out, cameras_of(views), points, height_range.middle());
+  out.applied = true;
+  out.verdict = "as given";
+  return out;
+}
+
+}  // namespace satsurf::scene

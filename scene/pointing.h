@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/scene/pointing_adjustment.h"
+#include "satsurf/scene/scene.h"
+
+#include <functional>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace satsurf::scene {
+
+/// How well the cameras of a scene agree, and shifts that make them agree better.
+struct Pointing {
+  std::vector<std::string> names;    ///< of the views
+  std::vector<rpc::Pixel> shifts;    ///< to add to where each camera sees a point, px; mean zero
+  std::vector<PairResidual> before;  ///< every pair with the cameras as they came
+  std::vector<PairResidual> after;   ///< with the shifts; empty where none could be estimated
+  Index observable = 0;              ///< see PointingAdjustment
+  bool applied = false;              ///< whether the scene's cameras have been shifted
+  std::string verdict;               ///< in words: why, or why not
+  /// Middle nine tenths of the tie points' heights with the shifts, m above the ellipsoid; empty
+  /// without any.
+  std::optional<rpc::HeightRange> heights;
+
+  /// Length of the largest shift, px.
+  double largest_shift() const;
+};
+
+/// Largest error of an image's pointing that is found, px.
+inline constexpr double kLargestPointingError = 50;
+
+/// Measures how well cameras agree and estimates a shift for each, without changing anything.
+///   measured   with tie points, see `find_tie_points`
+///   estimated  with `adjust_pointing`, where pairs with 20 points or more connect all images
+///   useful     (`applied` is then set) where the largest shift is above 0.3 px and the residuals
+///              across the epipolar direction become smaller
+/// views         two or more
+/// height_range  heights of the ground, m above the ellipsoid; may be wide
+/// poll          called often, may throw to stop
+Pointing measure_pointing(const std::vector<View>& views, const rpc::HeightRange& height_range,
+                          const std::function<void()>& poll = {});
+
+/// Shifts by the names of the images, as a file of them says.
+using NamedShifts = std::map<std::string, rpc::Pixel>;
+
+/// The same with shifts that are known. `applied` is set.
+/// throws  ConfigError naming a view without a shift
+Pointing given_pointing(const std::vector<View>& views, const NamedShifts& shifts,
+                        const rpc::HeightRange& height_range,
+                        const std::function<void()>& poll = {});
+
+/// Shifts the cameras of the views: exactly, by the offsets of their RPCs.
+void apply_pointing(const Pointing& pointing, std::vector<View>& views);
+
+/// One number for all pairs: the mean of their residuals across the epipolar direction, each with
+/// the weight of its points, px; 0 without points.
+double mean_across(const std::vector<PairResidual>& pairs);
+
+}  // namespace satsurf::scene
