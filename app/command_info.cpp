@@ -1,15 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/pointing_text.h"
 #include "satsurf/app/program.h"
+#include "satsurf/core/error.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/safetensors.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/rpc/read.h"
+#include "satsurf/scene/pointing.h"
 #include "satsurf/scene/view_geometry.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -129,58 +134,99 @@ void print_pairs(const std::vector<rpc::RasterInfo>& all) {
       const rpc::RasterInfo &a = all[i], &b = all[j];
       std::printf("  %s + %s: ", a.path.filename().c_str(), b.path.filename().c_str());
       const double h = reference_height(a);
-      const auto centre = [&](const rpc::RasterInfo& v) {
-        return v.rpc->localize(
-            {static_cast<double>(v.width) / 2, static_cast<double>(v.height) / 2}, h);
-      };
-      const rpc::Geodetic p = centre(a), q = centre(b);
-      const rpc::UtmZone zone = rpc::utm_zone_of(p.lon, p.lat);
-      constexpr double kOneZone = 3;  // degrees; further apart nothing can overlap
-      scene::Polygon common;
-      if (std::abs(std::remainder(p.lon - q.lon, 360)) < kOneZone &&
-          std::abs(p.lat - q.lat) < kOneZone)
-        common = scene::intersect(scene::footprint(*a.rpc, a.width, a.height, zone, h),
-                                  scene::footprint(*b.rpc, b.width, b.height, zone, h));
-      if (common.empty()) {
+      const scene::CommonGround ground =
+          scene::common_ground(*a.rpc, a.width, a.height, *b.rpc, b.width, b.height, h);
+      if (ground.both.empty()) {
         std::printf("no overlap at %.0f m\n", h);
         continue;
       }
-      const double smaller =
-          std::min(scene::polygon_area(scene::footprint(*a.rpc, a.width, a.height, zone, h)),
-                   scene::polygon_area(scene::footprint(*b.rpc, b.width, b.height, zone, h)));
-      const auto at = scene::polygon_centroid(common);
-      const auto lon_lat = rpc::geodetic_from_utm(zone, at[0], at[1]);
-      std::printf("overlap %.1f %%, parallax %.3f px/m\n",
-                  100 * scene::polygon_area(common) / smaller,
+      const auto at = scene::polygon_centroid(ground.both);
+      const auto lon_lat = rpc::geodetic_from_utm(ground.zone, at[0], at[1]);
+      std::printf("overlap %.1f %%, parallax %.3f px/m\n", 100 * ground.share,
                   scene::parallax(*a.rpc, *b.rpc, {lon_lat[0], lon_lat[1], h}));
     }
 }
 
+/// How well the cameras agree, pair by pair, and what shifts would make of it.
+void print_pointing(const std::vector<std::filesystem::path>& files, const InfoOptions& options) {
+  constexpr double kMostPixels = 1e8;  // of all images together, which are read whole
+  std::vector<scene::View> views;
+  std::optional<rpc::HeightRange> heights;
+  double pixels = 0;
+  std::printf("pointing\n");
+  for (const auto& file : files) {
+    const rpc::RasterInfo info = rpc::view_info(file, options.image_dirs);
+    pixels += static_cast<double>(info.width) * static_cast<double>(info.height);
+    const double off = info.rpc->height_off, scale = std::abs(info.rpc->height_scale);
+    const rpc::HeightRange range =
+        info.height_range.value_or(rpc::HeightRange{off - scale, off + scale});
+    heights = heights ? rpc::HeightRange{std::min(heights->low, range.low),
+                                         std::max(heights->high, range.high)}
+                      : range;
+  }
+  if (pixels > kMostPixels) {
+    std::printf("  not measured: %.0f million pixels, expected no more than %.0f\n", pixels / 1e6,
+                kMostPixels / 1e6);
+    return;
+  }
+  scene::Pointing pointing;
+  try {
+    for (const auto& file : files)
+      views.push_back(scene::view_of(rpc::open_view(file, options.image_dirs), file));
+    pointing = scene::measure_pointing(views, *heights);
+  } catch (const Error& e) {  // pixels that cannot be read do not make what files say less true
+    std::printf("  not measured: %s\n", e.what());
+    return;
+  }
+  for (std::size_t k = 0; k < pointing.before.size(); ++k) {
+    const scene::PairResidual& pair = pointing.before[k];
+    std::printf("  %s + %s: %s", views[pair.a].file.filename().c_str(),
+                views[pair.b].file.filename().c_str(), pair_line(pair).c_str());
+    if (!pointing.after.empty() && pair.ties > 0)
+      std::printf("; with shifts %.2f px across", pointing.after[k].across);
+    std::printf("\n");
+  }
+  std::printf("  correction    %s\n", pointing.verdict.c_str());
+  if (pointing.applied)
+    for (std::size_t i = 0; i < views.size(); ++i)
+      std::printf("  shift         %s: x %.2f, y %.2f px\n", views[i].file.filename().c_str(),
+                  pointing.shifts[i].x, pointing.shifts[i].y);
+}
+
 void run_info(const InfoOptions& options) {
   std::vector<rpc::RasterInfo> all;
+  std::vector<std::filesystem::path> images;
   std::vector<Weights> weights;
   for (const auto& file : options.images)  // all are read before anything is said
-    if (file.extension() == ".safetensors")
+    if (file.extension() == ".safetensors") {
       weights.push_back(weights_in(file));
-    else
+    } else {
+      images.push_back(file);
       all.push_back(file.extension() == ".json" ? rpc::view_info(file, options.image_dirs)
                                                 : rpc::read_info(file));
+    }
   std::vector<rpc::RasterInfo> cameras;
-  for (const rpc::RasterInfo& info : all) {
-    print_image(info);
-    if (info.rpc) cameras.push_back(info);
+  std::vector<std::filesystem::path> files;  // of those cameras
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    print_image(all[i]);
+    if (!all[i].rpc) continue;
+    cameras.push_back(all[i]);
+    files.push_back(images[i]);
   }
-  if (cameras.size() > 1) print_pairs(cameras);
+  if (cameras.size() > 1) {
+    print_pairs(cameras);
+    print_pointing(files, options);
+  }
   for (const Weights& w : weights) print_weights(w);
 }
 
 }  // namespace
 
 void add_info(Program& program) {
-  Command& command =
-      program.add("info",
-                  "size, camera, footprint and angles of images; overlap of pairs; origin of "
-                  "weights");
+  Command& command = program.add(
+      "info",
+      "size, camera, footprint and angles of images; overlap and residuals of pairs; origin of "
+      "weights");
   const auto options = std::make_shared<InfoOptions>();
   Flags& flags = command.flags;
   flags.add(collect_fields(*options));

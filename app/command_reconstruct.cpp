@@ -2,6 +2,7 @@
 #include "satsurf/app/interrupt.h"
 #include "satsurf/app/log.h"
 #include "satsurf/app/output_folder.h"
+#include "satsurf/app/pointing_text.h"
 #include "satsurf/app/preview.h"
 #include "satsurf/app/products.h"
 #include "satsurf/app/program.h"
@@ -20,6 +21,7 @@
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
 #include "satsurf/reconstruct/warnings.h"
+#include "satsurf/scene/pointing_file.h"
 #include "satsurf/scene/user_images.h"
 
 #include <algorithm>
@@ -67,6 +69,31 @@ nlohmann::json config_json(ReconstructConfig config, const fs::path& weights) {
 void note_range(const scene::RangeChoice& choice, Progress& progress) {
   progress.note(fmt::format("height range {:.1f} to {:.1f} m above the ellipsoid, {}",
                             choice.height_range.low, choice.height_range.high, choice.source));
+}
+
+/// What to do about cameras that disagree.
+/// throws  IoError for a file that is none of shifts
+scene::PointingChoice pointing_of(const ReconstructConfig& config) {
+  if (config.pointing == "shift") return {};
+  if (config.pointing == "off") return {.measure = false};
+  return {.given = scene::read_pointing(config.pointing)};
+}
+
+/// Says how the cameras agree and what was done about it; warns where nothing could be measured, and
+/// where shifted cameras see the ground outside the range that was asked for.
+void note_pointing(const scene::UserScene& user, Progress& progress) {
+  if (!user.pointing) return;
+  const scene::Pointing& pointing = *user.pointing;
+  const bool refused = pointing.after.empty();
+  progress.note(pointing_line(pointing) + (refused ? "; the cameras stay as they are" : ""),
+                refused ? LogLevel::warning : LogLevel::info);
+  const rpc::HeightRange& range = user.range.height_range;
+  if (pointing.applied && pointing.heights &&
+      (pointing.heights->low < range.low || pointing.heights->high > range.high))
+    progress.note(fmt::format("shifted cameras see ground from {:.0f} to {:.0f} m, expected it "
+                              "within the height range",
+                              pointing.heights->low, pointing.heights->high),
+                  LogLevel::warning);
 }
 
 /// Says which images have a border that nobody had declared.
@@ -254,6 +281,7 @@ nlohmann::json results_json(const reconstruct::Reconstruction& made, const scene
           {"height_range_source", user.range.source},
           {"height_range_searched",
            {made.z_range.low + made.frame.h0, made.z_range.high + made.frame.h0}},
+          {"pointing", user.pointing ? pointing_json(*user.pointing) : nlohmann::ordered_json()},
           {"lowest", summary.heights.low},
           {"highest", summary.heights.high},
           {"mean_confidence", mean_of(made.confidence)},
@@ -305,6 +333,8 @@ void run_reconstruct(const ReconstructCommand& options) {
   apart.insert(apart.end(), options.images.begin(), options.images.end());
   apart.insert(apart.end(), options.image_dirs.begin(), options.image_dirs.end());
   apart.push_back(options.config_file);
+  const scene::PointingChoice pointing = pointing_of(options);
+  if (pointing.given) apart.push_back(options.pointing);
   std::optional<OutputFolder> staged;
   if (!options.dry_run)
     staged.emplace(OutputFolder::staged(options.out, options.overwrite, std::move(apart)));
@@ -317,16 +347,19 @@ void run_reconstruct(const ReconstructCommand& options) {
   const auto poll = [] {
     if (interrupted()) throw Interrupted{};
   };
-  const scene::UserScene user = scene::scene_from_views(
-      options.images, options.image_dirs, height_range, poll, {.nodata = options.nodata});
+  const scene::UserScene user =
+      scene::scene_from_views(options.images, options.image_dirs, height_range, poll,
+                              {.validity = {.nodata = options.nodata}, .pointing = pointing});
   poll();
   const scene::Scene& scene = user.scene;
+  note_pointing(user, progress);
   note_range(user.range, progress);
   note_borders(scene, progress);
   Warnings warnings(progress, record);
   warnings.add(reconstruct::scene_warnings(scene));
   if (staged) {
     std::vector<fs::path> inputs{weights};
+    if (pointing.given) inputs.push_back(options.pointing);
     for (const scene::View& view : scene.views)
       inputs.insert(inputs.end(), view.files.begin(), view.files.end());
     staged->add_inputs(inputs);
@@ -356,6 +389,7 @@ void run_reconstruct(const ReconstructCommand& options) {
   progress.update("write", 0);
   const reconstruct::Visibility visibility = reconstruct::find_visibility(made.dsm, made.images);
   write_surface(folder.path(), made, scene, visibility, options.max_surfels);
+  if (user.pointing) scene::write_pointing(folder / "pointing.json", *user.pointing);
   poll();
   warnings.attempt("orthophoto", [&] {
     write_ortho(folder / "ortho.tif", made, scene, visibility, options.image_dirs);

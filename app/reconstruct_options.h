@@ -6,6 +6,7 @@
 
 #include <array>
 #include <filesystem>
+#include <string>
 #include <vector>
 
 namespace satsurf::app {
@@ -34,9 +35,10 @@ inline Field surface_field() {
 /// What a surface depends on: a run's record repeats it, images included.
 struct ReconstructConfig {
   std::vector<std::filesystem::path> images, image_dirs;
-  std::vector<double> nodata;     ///< values that say nothing, besides those the files declare
-  std::filesystem::path weights;  ///< empty for the shipped ones
-  OptionalPair height_range;      ///< m above the ellipsoid
+  std::vector<double> nodata;      ///< values that say nothing, besides those the files declare
+  std::filesystem::path weights;   ///< empty for the shipped ones
+  OptionalPair height_range;       ///< m above the ellipsoid
+  std::string pointing = "shift";  ///< "shift", "off" or a file
   reconstruct::Surface surface = reconstruct::Surface::automatic;
   double resolution = 0;    ///< m, 0 for the images' own
   double min_coverage = 0;  ///< share of the common ground that must have a height
@@ -69,6 +71,11 @@ struct ReconstructConfig {
             .automatic = "from metadata, else found",
             .flag = "--height-range",
             .placeholder = "LOW HIGH"});
+    v("pointing", s.pointing,
+      Field{.help = "cameras that disagree: `shift` measures it and shifts each image's where one "
+                    "is off by more than 0.3 px, `off` takes them as they are, a FILE "
+                    "(pointing.json of a run) says the shifts",
+            .placeholder = "shift|off|FILE"});
     v("surface", s.surface, surface_field());
     v("resolution", s.resolution,
       Field{.help = "cell of the surface",
@@ -144,6 +151,8 @@ inline std::vector<WrittenFile> written_by_reconstruct() {
           {"confidence.png", "picture of the confidence, dark low and bright high"},
           {"views/NAME_source.png", "every image, as the network sees it"},
           {"views/NAME_render.png", "the surface rendered into its camera"},
+          {"pointing.json",
+           "how the cameras agree and their shifts, for --pointing; see docs/pointing.md"},
           {"run.json", "the record of the run"}};
 }
 
@@ -159,6 +168,9 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
            "ellipsoid"},
           {"height_range_source", "where it came from"},
           {"height_range_searched", "what was searched of it: less where it was generous"},
+          {"pointing",
+           "applied, verdict, ties, across_before and across_after (px, mean over the tie points), "
+           "largest_shift (px); null with --pointing off"},
           {"lowest, highest", "of the surface, m above the ellipsoid"},
           {"mean_confidence", "0 to 1"},
           {"surfels", "how many"},

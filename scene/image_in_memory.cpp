@@ -73,13 +73,13 @@ rpc::Image image_of(const ImageInMemory& image) {
 
 UserScene scene_from_images(const std::vector<ImageInMemory>& images,
                             const std::optional<rpc::HeightRange>& height_range,
-                            const std::function<void()>& poll, const ValidityRules& rules) {
-  ViewList views(rules);
+                            const std::function<void()>& poll, const ViewRules& rules) {
+  ViewList views(rules.validity);
   for (const ImageInMemory& image : images) {
     if (poll) poll();
     views.add(image_of(image), image.name, {});
   }
-  return std::move(views).scene(height_range, poll);
+  return std::move(views).scene(height_range, poll, rules.pointing);
 }
 
 }  // namespace satsurf::scene

@@ -37,12 +37,11 @@ struct ImageInMemory {
 /// images         two or more
 /// height_range   m above the ellipsoid; else what the images name, else it is searched for
 /// poll           called often, may throw to stop
-/// rules          what of every image does not count
+/// rules          what of every image does not count, and what becomes of the cameras
 /// throws         Error for images without overlap or parallax, or whose sizes and values do not
 ///                fit; ConfigError for a range that is not the cameras'
 UserScene scene_from_images(const std::vector<ImageInMemory>& images,
                             const std::optional<rpc::HeightRange>& height_range = {},
-                            const std::function<void()>& poll = {},
-                            const ValidityRules& rules = {});
+                            const std::function<void()>& poll = {}, const ViewRules& rules = {});
 
 }  // namespace satsurf::scene

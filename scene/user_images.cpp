@@ -17,6 +17,7 @@ namespace fs = std::filesystem;
 
 /// Source of a range that is not used as it is, but searched.
 constexpr const char* kCameraRange = "of the cameras";
+constexpr const char* kMetadataRange = "from the images' metadata";
 
 std::string kilometres(double metres) {
   char text[32];
@@ -128,8 +129,12 @@ RangeChoice choose_range(const std::optional<rpc::HeightRange>& wanted,
     check_wanted(*wanted, views);
     return {*wanted, "as given"};
   }
-  if (named && named->has_span()) return {*named, "from the images' metadata"};
+  if (named && named->has_span()) return {*named, kMetadataRange};
   return {camera_range(views), kCameraRange};
+}
+
+bool holds(const rpc::HeightRange& range, const std::optional<rpc::HeightRange>& heights) {
+  return !heights || (range.low <= heights->low && heights->high <= range.high);
 }
 
 /// Where a view is put on the ground: the middle of the range; of its own heights without one.
@@ -228,7 +233,7 @@ void ViewList::add(const rpc::Image& image, const std::string& name, const fs::p
 }
 
 UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
-                          const std::function<void()>& poll) && {
+                          const std::function<void()>& poll, const PointingChoice& pointing) && {
   if (views_.empty()) throw Error("no image, expected two or more");
   if (views_.size() == 1)
     throw Error(views_[0].label() + " is the only image, expected two or more");
@@ -253,9 +258,20 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
   scene.frame.h0 = std::round(first.middle());
   scene.name = scene.views[0].name;
 
+  if (pointing.given || pointing.measure) {
+    out.pointing = pointing.given ? given_pointing(scene.views, *pointing.given, first, poll)
+                                  : measure_pointing(scene.views, first, poll);
+    if (out.pointing->applied) {
+      apply_pointing(*out.pointing, scene.views);
+      if (out.range.source == kMetadataRange && !holds(first, out.pointing->heights))
+        out.range = {camera_range(scene.views), kCameraRange};
+    }
+  }
+
   if (out.range.source == kCameraRange) {
+    const rpc::HeightRange searched = out.range.height_range;
     const rpc::HeightRange found =
-        find_height_range(scene, scene.frame.z_from_heights(first), poll);
+        find_height_range(scene, scene.frame.z_from_heights(searched), poll);
     out.range = {scene.frame.heights_from_z(found), "found by comparing the images"};
     scene.frame.h0 = std::round(out.range.height_range.middle());
   }
@@ -266,15 +282,15 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
 UserScene scene_from_views(const std::vector<fs::path>& files,
                            const std::vector<fs::path>& image_dirs,
                            const std::optional<rpc::HeightRange>& wanted,
-                           const std::function<void()>& poll, const ValidityRules& rules) {
+                           const std::function<void()>& poll, const ViewRules& rules) {
   if (files.size() == 1)  // before it is read
     throw Error(files[0].string() + " is the only image, expected two or more");
-  ViewList views(rules);
+  ViewList views(rules.validity);
   for (const fs::path& file : files) {
     if (poll) poll();
     views.add(rpc::open_view(file, image_dirs), file.stem().string(), file);
   }
-  return std::move(views).scene(wanted, poll);
+  return std::move(views).scene(wanted, poll, rules.pointing);
 }
 
 }  // namespace satsurf::scene

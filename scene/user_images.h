@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/rpc/read.h"
+#include "satsurf/scene/pointing.h"
 #include "satsurf/scene/scene.h"
 #include "satsurf/scene/validity.h"
 
@@ -22,10 +23,23 @@ struct RangeChoice {
 /// throws  ConfigError for a wanted range that holds no surface: reversed, or of less than a metre
 void check_height_range(const rpc::HeightRange& wanted);
 
+/// What is done about cameras that do not agree with one another.
+struct PointingChoice {
+  bool measure = true;                 ///< and correct, if that is worth it; see `measure_pointing`
+  std::optional<NamedShifts> given{};  ///< instead of an estimate
+};
+
 /// A scene of a user's own images.
 struct UserScene {
   Scene scene;
   RangeChoice range;
+  std::optional<Pointing> pointing{};  ///< nothing where it was not asked for
+};
+
+/// What is made of images before anything is searched in them.
+struct ViewRules {
+  ValidityRules validity{};   ///< what of every image does not count
+  PointingChoice pointing{};  ///< whether cameras are measured and shifted
 };
 
 /// Views gathered one by one, with what their images say of heights.
@@ -43,10 +57,13 @@ class ViewList {
   /// wanted  height range; else the one the images' metadata name, else it is searched for with
   ///         `find_height_range`
   /// poll    called often, may throw to stop
+  /// pointing  whether cameras are measured and shifted, before any height is searched for. A range
+  ///           of the images' metadata that does not hold the heights that shifted cameras see is
+  ///           searched for too: the shifts leave open where the ground as a whole lies.
   /// throws  ConfigError for a wanted range that is not the cameras', Error for fewer than two
   ///         views or views without overlap or parallax, each naming them
-  UserScene scene(const std::optional<rpc::HeightRange>& wanted,
-                  const std::function<void()>& poll) &&;
+  UserScene scene(const std::optional<rpc::HeightRange>& wanted, const std::function<void()>& poll,
+                  const PointingChoice& pointing = {}) &&;
 
  private:
   ValidityRules rules_;
@@ -59,12 +76,12 @@ class ViewList {
 /// image_dirs  where else to look for the images that JSON files name
 /// wanted      height range, m above the ellipsoid
 /// poll        called often, may throw to stop
-/// rules       what of every image does not count
+/// rules       what of every image does not count, and what becomes of the cameras
 /// throws      IoError for a file that cannot be used (missing, too small, without texture); see
 ///             `ViewList` for others
 UserScene scene_from_views(const std::vector<std::filesystem::path>& files,
                            const std::vector<std::filesystem::path>& image_dirs,
                            const std::optional<rpc::HeightRange>& wanted,
-                           const std::function<void()>& poll = {}, const ValidityRules& rules = {});
+                           const std::function<void()>& poll = {}, const ViewRules& rules = {});
 
 }  // namespace satsurf::scene

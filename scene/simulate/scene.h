@@ -83,7 +83,7 @@ struct SimulateConfig {
       Field{.help = "largest shift of the given cameras from the true ones",
             .unit = "px",
             .min = 0,
-            .max = 10});
+            .max = 50});
   }
 };
 

@@ -68,6 +68,7 @@ truth=data/Track3-Truth/SIM_001_DSM.tif
 succeeds "info" "$satsurf" info "${images[@]}"
 holds "info names the camera's source" grep -q "RPC (TIFF tag)" stdout
 holds "info tells overlap and parallax" grep -qE "overlap [0-9.]+ %, parallax [0-9.]+ px/m" stdout
+holds "info tells how the cameras agree" grep -qE "^  correction    " stdout
 
 tiny=(--preset tiny --crop 32 --steps 24 --checkpoint_every 4 --seed 9 --quiet)
 succeeds "train" "$satsurf" train --data data --out whole "${tiny[@]}"
@@ -146,6 +147,16 @@ for file in dsm.tif confidence.tif ortho.tif views.tif surfels.ply mesh.ply run.
 done
 holds "it records the mesh and how long it took" grep -qE '"voxel": [0-9.]+,?$' out/run.json
 holds "it says what the mesh is" grep -qE "^mesh +[0-9]+ faces, voxels of [0-9.]+ m$" stdout
+succeeds "shifts from a file" "$satsurf" reconstruct "${images[@]}" --out shifted --weights $weights --mesh none --pointing out/pointing.json --quiet
+holds "its shifts are those of the file" \
+  diff <(grep shift_ out/pointing.json) <(grep shift_ shifted/pointing.json)
+holds "they are applied" grep -q '"verdict": "as given"' shifted/pointing.json
+succeeds "cameras as they are" "$satsurf" reconstruct "${images[@]}" --out shifted --overwrite --weights $weights --mesh none --pointing off --quiet
+holds "nothing is said of shifts" test ! -e shifted/pointing.json
+refuses "shifts from nowhere" 1 "nowhere.json" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --pointing nowhere.json
+echo '{"images": []}' >none.json
+refuses "shifts of other images" 2 "no shift for SIM_001_001_RGB" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights \
+  --pointing none.json --quiet
 succeeds "no mesh" "$satsurf" reconstruct "${images[@]}" --out bare --weights $weights --mesh none --quiet
 holds "the rest is the same without" diff -r -x run.json -x mesh.ply out bare
 holds "and there is no mesh" test ! -e bare/mesh.ply

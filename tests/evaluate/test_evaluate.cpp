@@ -146,7 +146,7 @@ TEST_CASE("scores of a data set") {
   const auto rows = lines_of(csv);
   REQUIRE(rows.size() == 4);
   const std::vector<std::string> names = cells_of(rows[0]);
-  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 2 * 6 + kCauses * 6 + 4 + 8);
+  CHECK(names.size() == 1 + 9 * 13 + 3 * 3 + 2 * 6 + kCauses * 6 + 2 + 4 + 8);
   for (const std::string& row : rows) CHECK(cells_of(row).size() == names.size());
   REQUIRE(j["mean"].size() == names.size() - 1);
   Index column = 1;

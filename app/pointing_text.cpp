@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/pointing_text.h"
+
+#include <fmt/format.h>
+
+namespace satsurf::app {
+namespace {
+
+Index ties_of(const scene::Pointing& pointing) {
+  Index ties = 0;
+  for (const scene::PairResidual& pair : pointing.before) ties += pair.ties;
+  return ties;
+}
+
+}  // namespace
+
+std::string pair_line(const scene::PairResidual& pair) {
+  if (pair.ties == 0) return "no tie points";
+  std::string text =
+      fmt::format("{} tie points, {:.2f} px across the epipolar direction", pair.ties, pair.across);
+  if (pair.along) text += fmt::format(", {:.2f} px along", *pair.along);
+  return text;
+}
+
+std::string pointing_line(const scene::Pointing& pointing) {
+  const double before = scene::mean_across(pointing.before);
+  if (pointing.after.empty()) return "pointing " + pointing.verdict;
+  const std::string measured =
+      fmt::format("{:.2f} px across the epipolar direction at {} ties", before, ties_of(pointing));
+  if (!pointing.applied)
+    return fmt::format("cameras agree to {}; pointing correction {}", measured, pointing.verdict);
+  return fmt::format(
+      "cameras disagreed by {}, {:.2f} px after shifts of up to {:.2f} px ({}; the mean shift is "
+      "zero, so where the ground as a whole lies stays as the cameras have it)",
+      measured, scene::mean_across(pointing.after), pointing.largest_shift(), pointing.verdict);
+}
+
+nlohmann::ordered_json pointing_json(const scene::Pointing& pointing) {
+  nlohmann::ordered_json json{
+      {"applied", pointing.applied}, {"verdict", pointing.verdict},
+      {"ties", ties_of(pointing)},   {"across_before", scene::mean_across(pointing.before)},
+      {"across_after", nullptr},     {"largest_shift", pointing.largest_shift()}};
+  if (!pointing.after.empty()) json["across_after"] = scene::mean_across(pointing.after);
+  return json;
+}
+
+}  // namespace satsurf::app
