@@ -34,5 +34,6 @@
 #include "satsurf/scene/validity.h"
 #include "satsurf/scene/view_geometry.h"
 #include "satsurf/train/mono_trainer.h"
+#include "satsurf/train/surface_trainer.h"
 #include "satsurf/train/trainer.h"
 #endif

@@ -347,9 +347,11 @@ void run_reconstruct(const ReconstructCommand& options) {
   const auto poll = [] {
     if (interrupted()) throw Interrupted{};
   };
+  scene::ViewRules rules;
+  rules.validity.nodata = options.nodata;
+  rules.pointing = pointing;
   const scene::UserScene user =
-      scene::scene_from_views(options.images, options.image_dirs, height_range, poll,
-                              {.validity = {.nodata = options.nodata}, .pointing = pointing});
+      scene::scene_from_views(options.images, options.image_dirs, height_range, poll, rules);
   poll();
   const scene::Scene& scene = user.scene;
   note_pointing(user, progress);

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -72,8 +73,10 @@ int main() {
   // From here on it is what any program does that holds such images.
   const scene::UserScene place = scene::scene_from_images(images);
   const nn::Model model = nn::load_model(nn::shipped_weights());
+  const std::optional<nn::SurfaceModel> refiner = nn::load_surface(nn::shipped_weights());
   bool cancel = false;
   reconstruct::ReconstructOptions options;
+  if (refiner) options.network = &*refiner;
   options.progress = [&](const std::string& stage, double fraction) {
     if (cancel) throw Cancelled{};  // leaves reconstruct(), from wherever it is
     static std::string last;

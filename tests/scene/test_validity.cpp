@@ -138,7 +138,9 @@ TEST_CASE("a scene with undeclared borders is the scene with declared ones") {
     second.rpc = other;
     image.valid = second.valid = valid;
     const rpc::HeightRange range{camera.height_off - 5, camera.height_off + 5};
-    return scene_from_images({image, second}, range, {}, {.validity = rules, .pointing = {}}).scene;
+    ViewRules both;
+    both.validity = rules;
+    return scene_from_images({image, second}, range, {}, both).scene;
   };
   const Scene found = scene_of({}, {}), told = scene_of(declared, {.borders = false}),
               blind = scene_of({}, {.borders = false});
