@@ -135,8 +135,8 @@ inline std::vector<WrittenFile> written_by_reconstruct() {
           {"confidence.tif",
            "confidence of the surface, 0 to 1, on the same grid, Float32, nodata -9999"},
           {"height_sigma.tif",
-           "expected error of the heights (about two thirds are within it), m, on the same grid; "
-           "only of a refined surface"},
+           "expected error of the heights, m, on the same grid: some four fifths are within it and "
+           "19 in 20 within twice as much; only of a refined surface"},
           {"views.tif",
            "how many images see the cell, hidden ones not counted, on the same grid, nodata 255"},
           {"ortho.tif",

@@ -123,7 +123,10 @@ using SurfaceModel = BasicSurfaceModel<float>;
 /// A surface as the network made it.
 struct RefinedSurface {
   Tensor heights;  ///< [H W] local m, NaN where there is no candidate
-  Tensor sigma;    ///< [H W] m, NaN alike: two thirds of the heights should be nearer to the truth
+  /// [H W] m, NaN alike: 1.148 times the expected error, within which a Laplace distribution has 68 %
+  /// of its mass. Errors have longer tails than that: on simulated scenes 81 to 85 % of the heights
+  /// are within it and 94 % within twice as much.
+  Tensor sigma;
 };
 /// Applies a network.
 /// throws  ShapeError

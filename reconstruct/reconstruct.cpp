@@ -206,8 +206,8 @@ nn::SurfaceInput input_of(const Gathered& all, const ReconstructPlan& plan,
                        all.evidence.grid(plan), made.images);
 }
 
-/// The surface as the network makes it. Its confidence is that of the surfels times the share of
-/// them that agree, 0 in the holes that the network filled.
+/// The surface as the network makes it, where two images or more show it. Its confidence is that of
+/// the surfels times the share of them that agree, 0 in the holes that the network filled.
 FusedSurface refined(const nn::SurfaceModel& network, const nn::SurfaceInput& input,
                      Tensor& sigma) {
   nn::RefinedSurface made = nn::refined(network, input);
@@ -218,9 +218,11 @@ FusedSurface refined(const nn::SurfaceModel& network, const nn::SurfaceInput& in
     return input.planes.data() + static_cast<Index>(p) * P;
   };
   const float *sure = plane(nn::SurfacePlane::confidence),
-              *share = plane(nn::SurfacePlane::mode_share);
-  for (Index i = 0; i < P; ++i)
+              *share = plane(nn::SurfacePlane::mode_share), *views = plane(nn::SurfacePlane::views);
+  for (Index i = 0; i < P; ++i) {
+    if (views[i] < 0.5f) out.heights[i] = sigma[i] = std::nanf("");  // quarters of their number
     out.confidence[i] = std::isfinite(out.heights[i]) ? sure[i] * share[i] : std::nanf("");
+  }
   return out;
 }
 
