@@ -2,6 +2,7 @@
 #include "satsurf/nn/module.h"
 
 #include "satsurf/core/rng.h"
+#include "satsurf/nn/parameter_limit.h"
 
 #include <cmath>
 #include <set>
@@ -26,13 +27,30 @@ void append_some(std::string& text, const char* what, const std::vector<std::str
   if (names.size() > kShown) text += " and " + std::to_string(names.size() - kShown) + " more";
 }
 
+thread_local ParameterLimit* limit = nullptr;
+
 }  // namespace
+
+ParameterLimit::ParameterLimit(Index most, std::string where)
+    : left_(most), most_(most), where_(std::move(where)), outer_(limit) {
+  limit = this;
+}
+
+ParameterLimit::~ParameterLimit() { limit = outer_; }
+
+void ParameterLimit::count(const Shape& shape) {
+  if (shape.count() > left_)
+    throw IoError(where_ + ": its configuration asks for a network of more than " +
+                  std::to_string(most_) + " parameters, expected the size that the file holds");
+  left_ -= shape.count();
+}
 
 template <class T>
 BasicVar<T> ParameterSet<T>::create(const std::string& name, const Shape& shape, const Init& init,
                                     bool decays) {
   for (const Entry& e : entries_)
     if (e.name == name) throw Error("ParameterSet: parameter " + name + " exists already");
+  if (limit != nullptr) limit->count(shape);
   BasicTensor<T> value(shape, static_cast<T>(init.value));
   if (init.kind == Init::Kind::kaiming) {
     Rng rng(seed_, hash_of(name));

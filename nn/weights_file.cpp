@@ -3,6 +3,7 @@
 
 #include "satsurf/core/error.h"
 #include "satsurf/core/fields_json.h"
+#include "satsurf/nn/parameter_limit.h"
 
 #include <nlohmann/json.hpp>
 
@@ -31,6 +32,16 @@ C config_from(const TensorFile& file, const std::string& key, const std::string&
   return c;
 }
 
+/// Parameters of a network that are worth being made before they are compared one by one with those
+/// of the file, which says better what does not fit.
+Index most_parameters(const TensorFile& file, const std::string& prefix) {
+  constexpr Index kFew = Index{1} << 20;  // made in some milliseconds
+  Index held = 0;
+  for (const auto& [name, tensor] : file.tensors)
+    if (name.starts_with(prefix)) held += tensor.count();
+  return kFew + 2 * held;
+}
+
 }  // namespace
 
 void store_model(TensorFile& file, const Model& model) {
@@ -43,7 +54,10 @@ Model model_from(const TensorFile& file, const std::string& where) {
   // Files from when there was nothing but the cascade name its fields only.
   const auto c = config_from(file, "model", "satsurf model", where, model_preset("cascade8"));
   try {
-    Model model(c, 0);
+    Model model = [&] {
+      const ParameterLimit limit(most_parameters(file, kModelPrefix), where);
+      return Model(c, 0);
+    }();
     model.parameters().load(file, kModelPrefix, where);
     return model;
   } catch (const ConfigError& e) {
@@ -71,7 +85,10 @@ void store_mono(TensorFile& file, const Mono& mono) {
 
 Mono mono_from(const TensorFile& file, const std::string& where) {
   const auto c = config_from<MonoConfig>(file, "mono", "satsurf monocular network", where);
-  Mono mono(c, 0);
+  Mono mono = [&] {
+    const ParameterLimit limit(most_parameters(file, kMonoPrefix), where);
+    return Mono(c, 0);
+  }();
   mono.parameters().load(file, kMonoPrefix, where);
   return mono;
 }
@@ -89,7 +106,11 @@ void store_surface(TensorFile& file, const SurfaceModel& network) {
 std::optional<SurfaceModel> surface_from(const TensorFile& file, const std::string& where) {
   if (!file.metadata.contains("surface")) return std::nullopt;
   const auto c = config_from<SurfaceConfig>(file, "surface", "satsurf surface network", where);
-  std::optional<SurfaceModel> network(std::in_place, c, 0);
+  std::optional<SurfaceModel> network;
+  {
+    const ParameterLimit limit(most_parameters(file, kSurfacePrefix), where);
+    network.emplace(c, 0);
+  }
   network->parameters().load(file, kSurfacePrefix, where);
   return network;
 }

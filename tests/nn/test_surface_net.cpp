@@ -145,6 +145,21 @@ TEST_CASE("a file may hold a surface network beside others") {
   CHECK(!load_surface(folder / "without.safetensors"));
 }
 
+TEST_CASE("a small file does not make a large network") {
+  TensorFile file;
+  file.metadata["format"] = "satsurf-1";
+  file.tensors["model.x"] = file.tensors["mono.x"] = file.tensors["surface.x"] = Tensor({1});
+  const std::string text = "w: its configuration asks for a network of more than ";
+  file.metadata["model"] = R"({"base": 64, "volume_base": 64, "head_width": [256, 256, 256]})";
+  CHECK(test::error_of<IoError>([&] { model_from(file, "w"); }).starts_with(text));
+  file.metadata["mono"] = R"({"base": 64})";
+  CHECK(test::error_of<IoError>([&] { mono_from(file, "w"); }).starts_with(text));
+  file.metadata["surface"] = R"({"base": 64})";
+  CHECK(test::error_of<IoError>([&] { surface_from(file, "w"); }).starts_with(text));
+  // the limit ends with the file, and what is asked for by others is made
+  CHECK(Mono({.base = 64}, 1).parameters().count() > (1 << 20));
+}
+
 TEST_CASE("the surface network refuses what does not fit") {
   const SurfaceModel network({.base = 2}, 1);
   SurfaceInput input = some_input(8, 8);
