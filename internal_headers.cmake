@@ -3,11 +3,12 @@
 # and for tests/layers.cmake.
 set(satsurf_internal_headers
   "_kernels\\.h$"
-  "/core/(simd|fields_json)\\.h$"
+  "/core/(simd|fields_json|files)\\.h$"
   "/ops/weighted_sum\\.h$"
   "/ops/conv/(axes|engine|kernels|slab|weights|winograd)\\.h$"
   "/splat/bin\\.h$"
   "/rpc/gdal\\.h$"
+  "/nn/parameter_limit\\.h$"
   "/mesh/sampled_view\\.h$"
   "/scene/(grey_pyramid|ray_walk|satnerf|sight_lines)\\.h$"
   "/scene/simulate/(city|conditions|develop|dress|given|layout|noise|orbit|render|texture)\\.h$"

@@ -2,14 +2,12 @@
 #include "satsurf/core/fields_json.h"
 
 #include "satsurf/core/error.h"
+#include "satsurf/core/files.h"
 
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <fstream>
-#include <iterator>
 #include <set>
-#include <system_error>
 
 namespace satsurf {
 namespace {
@@ -29,6 +27,9 @@ std::string position(std::string_view text, std::size_t byte) {
 /// The parser's own words without its prefix of exception number and place.
 std::string reason(const std::string& what) {
   const std::size_t column = what.find("column ");
+  if (const std::size_t number = what.find("] ");
+      column == std::string::npos && number < what.size())
+    return what.substr(number + 2);
   const std::size_t colon = what.find(": ", column == std::string::npos ? 0 : column);
   return colon == std::string::npos ? what : what.substr(colon + 2);
 }
@@ -166,12 +167,7 @@ json parse_json(std::string_view text, const std::string& where) {
 }
 
 json load_json_file(const std::filesystem::path& path) {
-  std::error_code ignored;
-  std::ifstream in(path, std::ios::binary);
-  if (!in.is_open() || std::filesystem::is_directory(path, ignored))
-    throw IoError(path.string() + ": cannot be read, expected a JSON file");
-  const std::string text{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
-  return parse_json(text, path.string());
+  return parse_json(read_text_file(path, "a JSON file"), path.string());
 }
 
 json detail::refs_to_json(const std::vector<FieldRef>& fields) {

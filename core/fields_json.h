@@ -12,14 +12,14 @@
 
 namespace satsurf {
 
-/// Parses one JSON document; stricter than the standard: a repeated key is an error, and so is
+/// Parses one JSON document, as everything here that reads JSON does; stricter than the standard: a repeated key is an error, and so is
 /// nesting deeper than 64.
 /// text    the document
 /// where   begins the error text
 /// throws  IoError `where: line 3, column 5: ...`
 nlohmann::json parse_json(std::string_view text, const std::string& where);
 /// Reads one JSON document, as strictly as `parse_json`.
-/// throws  IoError that names the file, and the line where it is malformed
+/// throws  IoError that names the file, and the line where it is malformed; for one larger than 64 MiB
 nlohmann::json load_json_file(const std::filesystem::path& path);
 
 namespace detail {

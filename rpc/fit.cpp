@@ -99,12 +99,19 @@ Quadratic fit_over(const char* where, const LocalFrame& frame, const Window& win
     throw Error(text.str());
   }
   const HeightRange range = frame.heights_from_z(z_range);
-  if (!(range.low <= range.high)) {
+  if (!(range.low <= range.high) || !std::isfinite(range.high - range.low)) {
     text << where << ": height range " << range.low << " to " << range.high
-         << " m, expected low <= high";
+         << " m, expected finite ones, low <= high";
     throw Error(text.str());
   }
-  return fit(samples_of(window, range, false, sample), samples_of(window, range, true, sample));
+  const Quadratic map =
+      fit(samples_of(window, range, false, sample), samples_of(window, range, true, sample));
+  if (!std::isfinite(map.rms)) {  // any number that is not finite ends here
+    text << where << ": the camera has no finite value somewhere in the window at heights "
+         << range.low << " to " << range.high << " m, expected one everywhere";
+    throw Error(text.str());
+  }
+  return map;
 }
 
 using Vec3 = std::array<double, 3>;

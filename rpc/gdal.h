@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-// For rpc/read*.cpp and rpc/raster.cpp only: no public header names GDAL.
+// For rpc/read*.cpp and rpc/raster*.cpp only: no public header names GDAL.
 
 #include "satsurf/core/error.h"
+#include "satsurf/core/files.h"
 #include "satsurf/rpc/read.h"
 
 #include <filesystem>
@@ -22,7 +23,8 @@
 namespace satsurf::rpc {
 
 /// While one lives, this thread's GDAL prints nothing, keeps its last error for gdal_error(), and
-/// neither reads nor leaves .aux.xml files. What the caller had set is restored.
+/// neither reads nor leaves .aux.xml files, and opens no remote ones. What the caller had set is
+/// restored.
 class GdalScope {
  public:
   GdalScope() {
@@ -30,19 +32,24 @@ class GdalScope {
     static_cast<void>(registered);
     if (const char* old = CPLGetThreadLocalConfigOption(kPam, nullptr)) pam_ = old;
     CPLSetThreadLocalConfigOption(kPam, "NO");
+    if (const char* old = CPLGetThreadLocalConfigOption(kRemote, nullptr)) remote_ = old;
+    CPLSetThreadLocalConfigOption(kRemote, "none");
     CPLPushErrorHandler(CPLQuietErrorHandler);
     CPLErrorReset();
   }
   ~GdalScope() {
     CPLPopErrorHandler();
     CPLSetThreadLocalConfigOption(kPam, pam_ ? pam_->c_str() : nullptr);
+    CPLSetThreadLocalConfigOption(kRemote, remote_ ? remote_->c_str() : nullptr);
   }
   GdalScope(const GdalScope&) = delete;
   GdalScope& operator=(const GdalScope&) = delete;
 
  private:
   static constexpr const char* kPam = "GDAL_PAM_ENABLED";
-  std::optional<std::string> pam_;
+  /// The one remote file that may be opened.
+  static constexpr const char* kRemote = "CPL_VSIL_CURL_ALLOWED_FILENAME";
+  std::optional<std::string> pam_, remote_;
 };
 
 /// GDAL's last message on one line.
@@ -59,21 +66,21 @@ struct DatasetCloser {
 };
 using DatasetPtr = std::unique_ptr<GDALDataset, DatasetCloser>;
 
-/// throws IoError naming the file; needs a GdalScope
-inline DatasetPtr open_raster(const std::filesystem::path& path) {
-  const std::string name = path.string();
-  if (!name.starts_with("/vsi") && !std::filesystem::exists(path))
-    throw IoError(name + ": no such file, expected a raster");
-  const unsigned flags = GDAL_OF_RASTER | GDAL_OF_READONLY | GDAL_OF_VERBOSE_ERROR;
-  DatasetPtr d(GDALDataset::FromHandle(GDALOpenEx(name.c_str(), flags, nullptr, nullptr, nullptr)));
-  if (!d)
-    throw IoError(name + ": not a raster that can be read, expected GeoTIFF, NITF or alike; " +
-                  gdal_error());
-  if (d->GetRasterCount() == 0)
-    throw IoError(name +
-                  ": holds no bands of its own, expected an image; name one of its subdatasets");
-  return d;
-}
+/// Opens a raster of one of the known formats, which SATSURF_GDAL_DRIVERS in the environment widens
+/// ("HDF5,netCDF": names of GDAL's drivers). Nothing is asked of a network: names in GDAL's virtual
+/// file systems are refused, and so is a VRT whose sources are not files of known formats.
+/// Needs a GdalScope.
+/// throws  IoError naming the file
+DatasetPtr open_raster(const std::filesystem::path& path);
+
+/// Refuses a raster whose pixels cannot be in its file: one of some hundred bytes may claim any
+/// size. Up to 256 MiB of pixels are never refused, nor up to 100000 bytes for each of the file.
+/// throws  IoError
+void check_content(const std::filesystem::path& path, GDALDataset& d);
+/// Refuses what the memory cannot hold: some systems promise any amount.
+/// needed  bytes
+/// throws  IoError
+void check_memory(const std::filesystem::path& path, GDALDataset& d, double needed);
 
 inline std::map<std::string, std::string> metadata_of(GDALDataset& d, const char* domain) {
   std::map<std::string, std::string> items;

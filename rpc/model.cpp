@@ -108,6 +108,12 @@ Geodetic Rpc::localize(const Pixel& pixel, double h) const {
          << " px; the pixel or the height may lie outside the camera's range";
     throw Error(text.str());
   }
+  if (!(std::abs(p.lat) <= 90)) {  // a root of the polynomials, but no place
+    std::ostringstream text;
+    text << "Rpc::localize: latitude " << p.lat << " for pixel (" << pixel.x << ", " << pixel.y
+         << ") at height " << h << " m, expected one within 90 degrees";
+    throw Error(text.str());
+  }
   p.lon = degrees_wrapped(p.lon);
   return p;
 }

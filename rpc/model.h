@@ -45,7 +45,7 @@ struct Rpc {
   /// the RPC.
   /// pixel   px
   /// h       m above the ellipsoid
-  /// throws  Error naming pixel and height if the residual stays above 1e-3 px
+  /// throws  Error naming pixel and height if the residual stays above 1e-3 px, or beyond a pole
   Geodetic localize(const Pixel& pixel, double h) const;
   /// d(lon, lat)/dh along the viewing ray through `p`, degrees per m.
   std::array<double, 2> ray_slope(const Geodetic& p) const;

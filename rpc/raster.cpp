@@ -2,11 +2,11 @@
 #include "satsurf/rpc/raster.h"
 
 #include "satsurf/core/atomic_file.h"
+#include "satsurf/core/files.h"
 #include "satsurf/rpc/gdal.h"
 
 #include <cmath>
 #include <cstdio>
-#include <fstream>
 #include <limits>
 #include <sstream>
 
@@ -46,12 +46,22 @@ fs::path dfc_grid_path(const fs::path& path) {
   return path.parent_path() / (stem + ".txt");
 }
 
+/// throws  IoError for a grid that lies nowhere on the Earth
+void check_place(const fs::path& path, double x, double y, double step) {
+  constexpr double kFarthest = 1e8;  // m; twice round the Earth
+  if (std::abs(x) <= kFarthest && std::abs(y) <= kFarthest && !(step > kFarthest)) return;
+  std::ostringstream text;
+  text << path.string() << ": a grid at (" << x << ", " << y << ") of cells of " << step
+       << " m, expected finite numbers of at most 1e8 m";
+  throw IoError(text.str());
+}
+
 GeoGrid read_dfc_grid(const fs::path& path, const fs::path& text_path, Index width, Index height,
                       const std::optional<UtmZone>& zone) {
-  std::ifstream text(text_path);
-  if (!text)
+  if (!path_exists(text_path))
     throw IoError(path.string() + ": no georeference, expected one in the file or in " +
                   text_path.string());
+  std::istringstream text(read_text_file(text_path, "a grid in four numbers"));
   std::vector<double> numbers;
   for (std::string word; text >> word;)
     if (const auto v = parse_number(word))
@@ -63,6 +73,7 @@ GeoGrid read_dfc_grid(const fs::path& path, const fs::path& text_path, Index wid
                   " numbers, expected 4: easting and northing of the lower-left corner, cells per "
                   "side, metres per cell");
   const double cells = numbers[2], step = numbers[3];
+  check_place(text_path, numbers[0], numbers[1], step);
   if (!(step > 0) || cells != static_cast<double>(width) || cells != static_cast<double>(height)) {
     std::ostringstream message;
     message << text_path.string() << ": " << cells << " cells per side of " << step << " m, but "
@@ -84,6 +95,7 @@ GeoGrid grid_of(const fs::path& path, GDALDataset& d, const std::optional<UtmZon
          << "), expected square ones with north up; warp it first (gdalwarp)";
     throw IoError(text.str());
   }
+  check_place(path, t[0], t[3], step);
   int epsg = zone ? zone->epsg() : 0;
   if (const OGRSpatialReference* crs = d.GetSpatialRef()) {
     if (crs->IsGeographic())
@@ -105,6 +117,14 @@ GeoRaster read_geo_raster(const fs::path& path, const std::optional<UtmZone>& zo
   out.grid = grid_of(path, *d, zone);
   const int w = d->GetRasterXSize(), h = d->GetRasterYSize(), bands = d->GetRasterCount();
   const Index H = h, W = w, C = bands;
+  constexpr double kMostValues = 4294967296;  // 16 GiB; surface models of whole scenes have 1e9
+  const double count = static_cast<double>(C) * static_cast<double>(H) * static_cast<double>(W);
+  if (count > kMostValues)
+    throw IoError(path.string() + ": " + std::to_string(w) + " x " + std::to_string(h) +
+                  " cells of " + std::to_string(bands) + (bands == 1 ? " band" : " bands") +
+                  ", expected at most 4294967296 values; cut out a part (gdal_translate -projwin)");
+  check_content(path, *d);
+  check_memory(path, *d, 4 * count);
   out.values = Tensor::uninitialised(C == 1 ? Shape{H, W} : Shape{C, H, W});
   for (int b = 1; b <= bands; ++b) {
     GDALRasterBand* band = d->GetRasterBand(b);

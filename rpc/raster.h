@@ -72,11 +72,12 @@ struct GeoRaster {
   GeoTags tags;  ///< without `type` and `nodata`
 };
 
-/// Any north-up raster of square cells that GDAL opens. DFC2019's `NAME_DSM.tif` (and
+/// A north-up raster of square cells, of the formats that `read_info` takes. DFC2019's `NAME_DSM.tif` (and
 /// `NAME_CLS.tif`) have no georeference; their grid is taken from `NAME_DSM.txt` beside them
 /// (easting and northing of the lower-left corner, cells per side, metres per cell).
 /// zone    system of a raster that names none
-/// throws  IoError for no georeference, a rotated grid, cells that are not square, a damaged file
+/// throws  IoError for no georeference, a rotated grid, cells that are not square, a damaged file;
+///         for more than 2^32 values, or more than its file or the memory can hold
 GeoRaster read_geo_raster(const std::filesystem::path& path,
                           const std::optional<UtmZone>& zone = {});
 

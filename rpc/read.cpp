@@ -2,7 +2,7 @@
 #include "satsurf/rpc/read.h"
 
 #include "satsurf/core/dims.h"
-#include "satsurf/core/memory.h"
+#include "satsurf/core/files.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/gdal.h"
 
@@ -39,21 +39,6 @@ std::vector<std::uint8_t> file_mask(const fs::path& path, GDALDataset& d,
     for (std::size_t i = 0; i < N; ++i) valid[i] = valid[i] || band[i] != 0;
   }
   return valid;
-}
-
-/// throws IoError for a window that the memory cannot hold: some systems promise any amount
-void check_memory(const fs::path& path, Index bands, const PixelWindow& w) {
-  // pixels and validity as floats, two masks of a byte
-  const double needed = static_cast<double>(w.width) * static_cast<double>(w.height) *
-                        (4 * static_cast<double>(bands + 1) + 2);
-  const auto available = static_cast<double>(available_memory());
-  if (needed <= available) return;
-  std::ostringstream text;
-  text << path.string() << ": " << w.width << " x " << w.height << " px of " << bands
-       << (bands == 1 ? " band take " : " bands take ") << memory_text(needed)
-       << " of memory, expected " << memory_text(available)
-       << " at most; cut it into smaller images (gdal_translate -srcwin)";
-  throw IoError(text.str());
 }
 
 /// Lowest values and highest of the middle 98 percent of the valid pixels of three channels
@@ -124,7 +109,9 @@ Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info,
 
   std::vector<int> bands = colour_bands(d);
   const Index C = info.bands, H = w.height, W = w.width, N = H * W;
-  check_memory(path, C, w);
+  check_content(path, d);
+  // pixels and validity as floats, two masks of a byte
+  check_memory(path, d, static_cast<double>(N) * (4 * static_cast<double>(C + 1) + 2));
   image.pixels = Tensor::uninitialised({C, H, W});
   CPLErrorReset();
   if (d.RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0), static_cast<int>(W),
@@ -178,7 +165,7 @@ ViewSource find_view(const fs::path& path, const std::vector<fs::path>& image_di
   std::string tried;
   for (const fs::path& folder : folders) {
     const fs::path raster = folder / json.image;
-    if (fs::exists(raster)) return {path, raster, std::move(json)};
+    if (path_exists(raster)) return {path, raster, std::move(json)};
     tried += (tried.empty() ? "" : ", ") + raster.string();
   }
   throw IoError(path.string() + ": its image \"" + json.image + "\" was not found, looked for " +

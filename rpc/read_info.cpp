@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/files.h"
 #include "satsurf/rpc/gdal.h"
 #include "satsurf/rpc/read.h"
 
 #include <algorithm>
 #include <cctype>
-#include <fstream>
-#include <iterator>
 
 namespace satsurf::rpc {
 namespace {
@@ -63,20 +62,17 @@ std::vector<Sidecar> sidecars_of(const fs::path& path) {
 }
 
 bool mentions(const fs::path& file, const char* word) {
-  std::ifstream in(file, std::ios::binary);
-  const std::string text{std::istreambuf_iterator<char>(in), {}};
-  return in && text.find(word) != std::string::npos;
+  // GDAL lists files, too, that it would make
+  return is_file(file) && read_text_file(file, "a camera file").find(word) != std::string::npos;
 }
 
 /// The files GDAL reads of an image: those that are on the disk, each once, the image first.
 std::vector<fs::path> files_of(const fs::path& path, GDALDataset& d) {
   std::vector<fs::path> out;
-  std::error_code ignored;
-  if (fs::is_regular_file(path, ignored)) out.push_back(path);
+  if (is_file(path)) out.push_back(path);
   char** files = d.GetFileList();
   for (int i = 0; files && files[i]; ++i)
-    if (fs::is_regular_file(files[i], ignored) &&
-        std::find(out.begin(), out.end(), fs::path(files[i])) == out.end())
+    if (is_file(files[i]) && std::find(out.begin(), out.end(), fs::path(files[i])) == out.end())
       out.emplace_back(files[i]);
   CSLDestroy(files);
   return out;
@@ -122,7 +118,7 @@ void find_camera(RasterInfo& info, GDALDataset& d) {
   }
   for (const Sidecar& s : sidecars) {
     const fs::path file = info.path.parent_path() / s.name;
-    if (!fs::is_regular_file(file) || !mentions(file, s.mark)) continue;
+    if (!is_file(file) || !mentions(file, s.mark)) continue;
     info.rpc = read_rpc_file(file);
     info.rpc_source = s.source;
     if (std::find(info.files.begin(), info.files.end(), file) == info.files.end())

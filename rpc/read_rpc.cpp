@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/fields_json.h"
+#include "satsurf/core/files.h"
 #include "satsurf/rpc/gdal.h"
 #include "satsurf/rpc/read.h"
 
 #include <algorithm>
 #include <cctype>
 #include <cmath>
-#include <fstream>
-#include <iterator>
 #include <sstream>
 
 #include <cpl_minixml.h>
@@ -59,21 +59,30 @@ std::string upper(std::string text) {
   return text;
 }
 
-std::string read_text(const std::filesystem::path& path, const char* wanted) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file || std::filesystem::is_directory(path))
-    throw IoError(path.string() + ": no such file, expected " + wanted);
-  constexpr std::uintmax_t kLargest = 64u << 20;  // Sat-NeRF files with key points have some 100 kB
-  if (std::filesystem::file_size(path) > kLargest)
-    throw IoError(path.string() + ": larger than 64 MiB, expected " + wanted);
-  return {std::istreambuf_iterator<char>(file), {}};
+/// throws  IoError for a number that no camera has
+void check_scalar(const Scalar& s, double value, const std::string& where) {
+  const std::string_view key = s.key;
+  const bool scale = key.ends_with("SCALE"), lat = key.starts_with("LAT");
+  const auto refuse = [&](const std::string& expected) {
+    std::ostringstream text;
+    text << where << ": " << s.key << " is " << value << ", expected " << expected;
+    throw IoError(text.str());
+  };
+  if (scale && value == 0) refuse("another number");
+  if (scale && value < 0 && !lat) refuse("a positive number");  // Planet counts latitudes down
+  // degrees, the widest way longitudes are counted; m; px, of a crop far off in a long strip
+  const double most = lat                         ? 90
+                      : key.starts_with("LONG")   ? 360
+                      : key.starts_with("HEIGHT") ? 1e6
+                                                  : 1e9;
+  if (!(std::abs(value) <= most))
+    refuse("at most " + std::to_string(static_cast<long>(most)) + " either way");
+  if (scale && std::abs(value) < 1e-9) refuse("at least 1e-9");
 }
 
 /// Zero scales and denominators would only surface as NaN much later.
 Rpc checked(const Rpc& rpc, const std::string& where) {
-  for (const Scalar& s : kScalars)
-    if (std::string_view(s.key).ends_with("SCALE") && rpc.*s.member == 0)
-      throw IoError(where + ": " + s.key + " is 0, expected another number");
+  for (const Scalar& s : kScalars) check_scalar(s, rpc.*s.member, where);
   for (const Polynomial& p : kPolynomials) {
     const auto& c = rpc.*p.member;
     if (std::all_of(c.begin(), c.end(), [](double v) { return v == 0; }))
@@ -209,14 +218,6 @@ Items items_of_xml(const std::string& text, const std::string& where) {
 
 using Json = nlohmann::json;
 
-Json parse_json(const std::string& text, const std::string& where) {
-  try {
-    return Json::parse(text);
-  } catch (const Json::parse_error& e) {
-    throw IoError(where + ": damaged JSON at byte " + std::to_string(e.byte));
-  }
-}
-
 const Json& member(const Json& j, const std::string& key, const std::string& where) {
   const auto found = j.is_object() ? j.find(key) : j.end();
   if (!j.is_object() || found == j.end()) throw IoError(where + ": key \"" + key + "\" is missing");
@@ -304,7 +305,7 @@ Rpc rpc_from_gdal_metadata(const Items& items, const std::string& where) {
 }
 
 Rpc read_rpc_file(const std::filesystem::path& path) {
-  const std::string where = path.string(), text = read_text(path, "a camera file");
+  const std::string where = path.string(), text = read_text_file(path, "a camera file");
   const auto first = text.find_first_not_of(" \t\r\n\xEF\xBB\xBF");
   if (first == std::string::npos) throw IoError(where + ": empty, expected a camera file");
   if (text[first] == '{') {
@@ -334,7 +335,7 @@ Rpc read_rpc_file(const std::filesystem::path& path) {
 
 SatNerfJson read_satnerf_json(const std::filesystem::path& path) {
   const std::string where = path.string();
-  return satnerf_from_json(parse_json(read_text(path, "a Sat-NeRF JSON"), where), where);
+  return satnerf_from_json(parse_json(read_text_file(path, "a Sat-NeRF JSON"), where), where);
 }
 
 }  // namespace satsurf::rpc

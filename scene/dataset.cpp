@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/scene/dataset.h"
 
+#include "satsurf/core/files.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/satnerf.h"
 
@@ -28,7 +29,7 @@ constexpr double kTruthMargin = 5;
 
 std::vector<fs::path> files_of(const fs::path& folder, const std::vector<std::string>& extensions) {
   std::vector<fs::path> files;
-  if (!fs::is_directory(folder)) return files;
+  if (!is_folder(folder)) return files;
   for (const auto& entry : fs::directory_iterator(folder))
     if (std::find(extensions.begin(), extensions.end(), entry.path().extension()) !=
         extensions.end())
@@ -40,8 +41,8 @@ std::vector<fs::path> files_of(const fs::path& folder, const std::vector<std::st
 SceneFiles files_of_scene(const fs::path& folder, const std::string& name) {
   if (const fs::path satnerf = satnerf_folder(folder, name); is_satnerf(satnerf))
     return satnerf_files(satnerf, name);
-  const bool track3 = fs::is_directory(folder / "Track3-RGB");
-  if (!track3 && !fs::is_directory(folder / "images")) no_layout(folder);
+  const bool track3 = is_folder(folder / "Track3-RGB");
+  if (!track3 && !is_folder(folder / "images")) no_layout(folder);
   const fs::path images = track3 ? folder / "Track3-RGB" : folder / "images" / name,
                  truth = track3 ? folder / "Track3-Truth" : folder / "truth" / name;
   SceneFiles files{{}, truth / (name + "_DSM.tif"), truth / (name + "_CLS.tif")};
@@ -49,7 +50,7 @@ SceneFiles files_of_scene(const fs::path& folder, const std::string& name) {
     const std::string stem = image.stem().string();
     if (track3 && scene_of(stem) != name) continue;
     const fs::path json = folder / "rpcs" / name / (stem + ".json");
-    if (!track3 && fs::exists(json))
+    if (!track3 && path_exists(json))
       files.views.push_back(rpc::find_view(json, {images}));
     else
       files.views.push_back(rpc::find_view(image));
@@ -103,16 +104,15 @@ std::pair<double, double> finite_range(const Tensor& z) {
 }  // namespace
 
 std::vector<std::string> list_scenes(const fs::path& folder) {
-  if (!fs::is_directory(folder))
-    throw IoError(folder.string() + ": no such folder, expected a data set");
+  if (!is_folder(folder)) throw IoError(folder.string() + ": no such folder, expected a data set");
   std::set<std::string> names = satnerf_scenes(folder);
   if (!names.empty()) {
     for (const std::string& name : names) satnerf_views(satnerf_folder(folder, name));
-  } else if (fs::is_directory(folder / "Track3-RGB")) {
+  } else if (is_folder(folder / "Track3-RGB")) {
     for (const fs::path& f : files_of(folder / "Track3-RGB", {".tif", ".tiff"}))
       if (const std::string scene = scene_of(f.stem().string()); !scene.empty())
         names.insert(scene);
-  } else if (fs::is_directory(folder / "images")) {
+  } else if (is_folder(folder / "images")) {
     for (const auto& entry : fs::directory_iterator(folder / "images"))
       if (entry.is_directory()) names.insert(entry.path().filename().string());
   } else {
@@ -146,7 +146,7 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
                                   scene.views[0].rpc.height_off);
   scene.frame.zone = rpc::utm_zone_of(centre.lon, centre.lat);
 
-  if (fs::exists(files.dsm)) {
+  if (path_exists(files.dsm)) {
     const rpc::GeoRaster raster = read_one_band(files.dsm, scene.frame.zone);
     const auto [z_min, z_max] = finite_range(raster.values);
     if (std::isnan(z_min))
@@ -161,7 +161,7 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
                       raster.grid.y0 - scene.frame.northing0, step};
     for (float& z : truth.z.values()) z -= static_cast<float>(scene.frame.h0);
     scene.truth = std::move(truth);
-    if (fs::exists(files.classes)) {
+    if (path_exists(files.classes)) {
       const rpc::GeoRaster c = read_one_band(files.classes, scene.frame.zone);
       check_same_grid(files.classes, c, files.dsm, raster);
       scene.classes = c.values;

@@ -2,9 +2,10 @@
 #include "satsurf/scene/satnerf.h"
 
 #include "satsurf/core/error.h"
+#include "satsurf/core/files.h"
 
 #include <algorithm>
-#include <fstream>
+#include <sstream>
 #include <utility>
 
 namespace satsurf::scene {
@@ -40,10 +41,10 @@ std::vector<fs::path> places(const std::vector<fs::path>& folders,
   for (const fs::path& folder : folders)
     for (const std::string& name : inside) {
       const fs::path place = name.empty() ? folder : folder / name;
-      if (!fs::is_directory(place)) continue;
+      if (!is_folder(place)) continue;
       if (!name.empty())
         for (const std::string& scene : scenes)
-          if (fs::is_directory(place / scene)) out.push_back(place / scene);
+          if (is_folder(place / scene)) out.push_back(place / scene);
       out.push_back(place);
     }
   return out;
@@ -57,7 +58,7 @@ std::string scene_of(const std::string& stem) {
   return end == std::string::npos ? std::string() : stem.substr(0, end);
 }
 
-bool is_satnerf(const fs::path& folder) { return fs::is_regular_file(folder / "train.txt"); }
+bool is_satnerf(const fs::path& folder) { return is_file(folder / "train.txt"); }
 
 fs::path satnerf_folder(const fs::path& folder, const std::string& name) {
   return is_satnerf(folder) && name_of(folder) == name ? folder : folder / name;
@@ -76,14 +77,14 @@ std::vector<fs::path> satnerf_views(const fs::path& folder) {
   std::vector<fs::path> views;
   for (const char* split : {"train.txt", "test.txt"}) {
     const fs::path list = folder / split;
-    if (!fs::exists(list)) continue;
-    std::ifstream in(list);
+    if (!path_exists(list)) continue;
+    std::istringstream in(read_text_file(list, "a list of JSON files"));
     std::string line;
     for (int number = 1; std::getline(in, line); ++number) {
       const std::size_t begin = line.find_first_not_of(" \t\r");
       if (begin == std::string::npos) continue;
       const fs::path view = folder / line.substr(begin, line.find_last_not_of(" \t\r") + 1 - begin);
-      if (!fs::is_regular_file(view))
+      if (!is_file(view))
         throw IoError(list.string() + ": line " + std::to_string(number) + " names " +
                       view.filename().string() + ", but there is no " + view.string());
       if (std::find(views.begin(), views.end(), view) == views.end()) views.push_back(view);
@@ -109,7 +110,7 @@ SceneFiles satnerf_files(const fs::path& folder, const std::string& name) {
                                                "DFC2019/Track3-RGB-crops", "DFC2019/Track3-RGB"},
                                               scenes);
     const auto dir = std::find_if(dirs.begin(), dirs.end(),
-                                  [&](const fs::path& d) { return fs::exists(d / image); });
+                                  [&](const fs::path& d) { return path_exists(d / image); });
     if (dir == dirs.end()) {
       std::string looked;
       for (const fs::path& d : dirs) looked += (looked.empty() ? "" : ", ") + d.string();
@@ -121,7 +122,7 @@ SceneFiles satnerf_files(const fs::path& folder, const std::string& name) {
   for (const fs::path& dir :
        places(above, {"", "truth", "Truth", "Track3-Truth", "DFC2019/Track3-Truth"}, scenes))
     for (const std::string& scene : scenes)
-      if (files.dsm.empty() && fs::exists(dir / (scene + "_DSM.tif")))
+      if (files.dsm.empty() && path_exists(dir / (scene + "_DSM.tif")))
         files.dsm = dir / (scene + "_DSM.tif");
   if (!files.dsm.empty()) {  // classes belong to this grid, so they lie beside it
     const std::string stem = files.dsm.stem().string();

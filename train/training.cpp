@@ -9,6 +9,7 @@
 #include "satsurf/train/sample_batch.h"
 
 #include <algorithm>
+#include <charconv>
 #include <chrono>
 #include <cmath>
 #include <fstream>
@@ -26,7 +27,14 @@ std::string differences(nlohmann::json saved, const std::string& saved_seed, nlo
                         std::uint64_t seed) {
   constexpr int kMost = 6;  // told by name; another preset changes them all
   saved = saved.flatten(), given = given.flatten();
-  saved["/seed"] = nlohmann::json::parse(saved_seed, nullptr, false), given["/seed"] = seed;
+  std::uint64_t number = 0;
+  const char* last = saved_seed.data() + saved_seed.size();
+  const auto [end, error] = std::from_chars(saved_seed.data(), last, number);
+  if (error == std::errc() && end == last)
+    saved["/seed"] = number;
+  else
+    saved["/seed"] = saved_seed;  // of a damaged file
+  given["/seed"] = seed;
   std::set<std::string> names;
   for (const auto* fields : {&saved, &given})
     for (const auto& item : fields->items()) names.insert(item.key());
@@ -178,7 +186,7 @@ TrainingCallbacks keep_in(const fs::path& folder, std::function<bool(const StepR
 void run_training(TrainingTask& task, const TrainingSettings& settings,
                   const std::string& config_text, const TrainingRun& run,
                   const TrainingCallbacks& callbacks) {
-  const nlohmann::json config = nlohmann::json::parse(config_text);
+  const nlohmann::json config = parse_json(config_text, "train");
   nn::AdamW optimiser(task.parameters(), {.weight_decay = settings.weight_decay});
   const bool resume = !run.checkpoint.empty();
   if (resume)

@@ -302,10 +302,12 @@ TEST_CASE("fields: JSON files are read strictly and errors name the line") {
   CHECK(error("{\"lr\": NaN}").ends_with(", expected a JSON value (NaN and Infinity are none)"));
   CHECK(error("{\"a\": {\"b\": 1, \"c\": 2, \"b\": 3}}") == "key \"b\" appears twice");
   CHECK(error("{\"a\": [{\"b\": 1}, {\"b\": 2}]}") == "no prefix: no exception");
+  CHECK(error(std::string(70000, '[') + std::string(70000, ']')) == "nested deeper than 64 levels");
+  CHECK(error("{\"a\": 1e999}") == "number overflow parsing '1e999'");
   CHECK(error_of<IoError>([&] { load_json_file(folder / "none.json"); }) ==
-        (folder / "none.json").string() + ": cannot be read, expected a JSON file");
+        (folder / "none.json").string() + ": no such file, expected a JSON file");
   CHECK(error_of<IoError>([&] { load_json_file(folder.path()); }) ==
-        folder.path().string() + ": cannot be read, expected a JSON file");
+        folder.path().string() + ": is a folder, expected a JSON file");
 }
 
 TEST_CASE("an enumeration is spelled by its names in texts, JSON, help and errors") {

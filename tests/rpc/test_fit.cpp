@@ -89,6 +89,18 @@ std::array<std::array<double, 3>, 3> columns(const std::array<double, 4>& q) {
 
 }  // namespace
 
+TEST_CASE("fits that are not finite are refused") {
+  const Rpc a = test::synthetic_rpc();
+  Rpc broken = test::synthetic_rpc();
+  broken.samp_den = {};
+  const Pixel centre{7000, 12000};
+  const LocalFrame frame = frame_at(a, centre, 90);
+  CHECK_THROWS_WITH_AS(fit_transfer(a, broken, frame, window_around(centre, 64), {-50, 50}),
+                       doctest::Contains("fit_transfer: the camera has no finite value"), Error);
+  CHECK_THROWS_WITH_AS(fit_localisation(a, frame, window_around(centre, 64), {-50, INFINITY}),
+                       doctest::Contains("fit_localisation: height range"), Error);
+}
+
 TEST_CASE("quadratic fits of synthetic cameras and their stored residuals") {
   const Rpc a = test::synthetic_rpc(12.3, 45.1, 0.3, -0.2),
             b = test::synthetic_rpc(12.301, 45.1, -0.25, 0.1);
@@ -153,7 +165,8 @@ TEST_CASE("fits refuse empty windows and reversed ranges") {
   CHECK_THROWS_WITH_AS(fit_projection(a, frame, {0, 0, 0, 5}, {0, 1}),
                        "fit_projection: window of 0 x 5 px, expected a positive size", Error);
   CHECK_THROWS_WITH_AS(fit_transfer(a, a, frame, {0, 0, 4, 5}, frame.z_from_heights({2, 1})),
-                       "fit_transfer: height range 2 to 1 m, expected low <= high", Error);
+                       "fit_transfer: height range 2 to 1 m, expected finite ones, low <= high",
+                       Error);
 }
 
 TEST_CASE("view geometry of an affine camera") {

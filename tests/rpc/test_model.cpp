@@ -168,6 +168,10 @@ TEST_CASE("localisation says which pixel and height it cannot serve") {
   r = test::synthetic_rpc();
   r.samp_den = {};  // 0 / 0 must not slip through a comparison with NaN
   CHECK_THROWS_AS(r.localize({12, 34}, 0), Error);
+  r = test::synthetic_rpc(12, 89.99);  // the polynomials go on beyond the pole
+  CHECK(r.localize(r.project({12, 89.98, 120}), 120).lat == doctest::Approx(89.98));
+  CHECK_THROWS_WITH_AS(r.localize(r.project({12, 90.02, 120}), 120),
+                       doctest::Contains("expected one within 90 degrees"), Error);
 }
 
 TEST_CASE("real cameras: GDAL's transformer, differences, localisation") {

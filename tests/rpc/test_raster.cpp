@@ -240,6 +240,45 @@ TEST_CASE("rasters that are no grid of the ground are refused") {
       ((scratch / "none.tif").string() + ": no such file, expected a raster").c_str(), IoError);
 }
 
+TEST_CASE("rasters that lie nowhere are refused") {
+  const test::TempFolder scratch("raster");
+  const std::string p = (scratch / "x.tif").string();
+  const double nan = std::nan("");
+  for (const auto& place : {std::array{nan, 20.0}, {10.0, nan}, {1e300, 20.0}}) {
+    plain_tiff(p, {place[0], 0.5, 0, place[1], 0, -0.5}, 32617);
+    const std::string text = test::error_of<IoError>([&] { read_geo_raster(p); });
+    CAPTURE(text);
+    CHECK(text.starts_with(p + ": a grid at ("));
+  }
+}
+
+TEST_CASE("rasters that their files cannot hold are refused before they take memory") {
+  const test::TempFolder scratch("raster");
+  const std::string p = (scratch / "x.tif").string();
+  const auto sparse = [&](int side) {
+    GDALAllRegister();
+    auto* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
+    const char* options[] = {"SPARSE_OK=TRUE", "COMPRESS=DEFLATE", "BLOCKYSIZE=16384", nullptr};
+    std::unique_ptr<GDALDataset> d(
+        driver->Create(p.c_str(), side, side, 1, GDT_Float32, const_cast<char**>(options)));
+    REQUIRE(d);
+    std::array<double, 6> transform{435000, 0.5, 0, 3358000, 0, -0.5};
+    d->SetGeoTransform(transform.data());
+    d.reset();
+    REQUIRE(std::filesystem::file_size(p) < 4096);
+    return test::error_of<IoError>([&] { read_geo_raster(p); });
+  };
+  CHECK(sparse(100) == "no exception");
+  CHECK(sparse(65536 + 1) ==
+        p + ": 65537 x 65537 cells of 1 band, expected at most 4294967296 values; cut out a part "
+            "(gdal_translate -projwin)");
+  const std::string text = sparse(20000);
+  CAPTURE(text);
+  CHECK(text.starts_with(p + ": 20000 x 20000 px of 1 band, "));
+  CHECK(text.ends_with(", expected at least a byte for every 100000; empty or damaged?"));
+  CHECK(test::error_of<IoError>([&] { rpc::read_image(p); }).ends_with("empty or damaged?"));
+}
+
 TEST_CASE("the contest's layout: a bare raster and its grid in a text file") {
   const test::TempFolder scratch("raster");
   const Tensor z = heights({1, 6, 6}, 6);

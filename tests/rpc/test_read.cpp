@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/error.h"
+#include "satsurf/core/files.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/rpc/raster.h"
@@ -7,6 +8,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <iomanip>
 #include <limits>
 #include <memory>
@@ -18,6 +20,7 @@
 #include <cpl_string.h>
 #include <doctest/doctest.h>
 #include <gdal_priv.h>
+#include <sys/stat.h>
 
 using namespace satsurf;
 using namespace satsurf::rpc;
@@ -367,7 +370,9 @@ TEST_CASE("damaged camera files are refused by name") {
         p + ": XML without a camera, expected an RPB (Maxar) or Global_RFM (DIMAP) element, or "
             "GDAL's metadata of the domain RPC");
   CHECK(says("<PAMDataset><Metadata domain=\"RPC\"/></PAMDataset>").find(p + ": ") == 0);
-  CHECK(says("{\"row_offset\": ") == p + ": damaged JSON at byte 16");
+  CHECK(says("{\"row_offset\": ") ==
+        p + ": line 1, column 16: syntax error while parsing value - unexpected end of input; "
+            "expected '[', '{', or a literal");
   Rpc flat = rpc;
   flat.lon_scale = 0;
   CHECK(says(as_text(flat)) == p + ": LONG_SCALE is 0, expected another number");
@@ -426,6 +431,139 @@ TEST_CASE("Sat-NeRF JSON: tolerant numbers, strict keys") {
   wrong["max_alt"] = -30;
   CHECK(says(wrong) == p + ": key \"min_alt\" is not below \"max_alt\"");
   CHECK(says(nlohmann::json::array({1})) == p + ": key \"img\" is missing");
+}
+
+TEST_CASE("numbers that no camera has are refused") {
+  const TempFolder folder("numbers");
+  const std::string p = (folder / "c").string();
+  const auto says = [&](double Rpc::*member, double value) {
+    Rpc rpc = test::synthetic_rpc();
+    rpc.*member = value;
+    write_bytes(p, as_text(rpc));
+    return error_of<IoError>([&] { read_rpc_file(p); });
+  };
+  CHECK(says(&Rpc::lat_off, 91) == p + ": LAT_OFF is 91, expected at most 90 either way");
+  CHECK(says(&Rpc::lon_off, -361) == p + ": LONG_OFF is -361, expected at most 360 either way");
+  CHECK(says(&Rpc::line_scale, 1e300) ==
+        p + ": LINE_SCALE is 1e+300, expected at most 1000000000 either way");
+  CHECK(says(&Rpc::height_off, 1e9) ==
+        p + ": HEIGHT_OFF is 1e+09, expected at most 1000000 either way");
+  CHECK(says(&Rpc::samp_scale, -3) == p + ": SAMP_SCALE is -3, expected a positive number");
+  CHECK(says(&Rpc::height_scale, 1e-300) == p + ": HEIGHT_SCALE is 1e-300, expected at least 1e-9");
+  CHECK(says(&Rpc::lat_scale, -0.05) == "no exception");  // of Planet
+  CHECK(says(&Rpc::lon_off, 359) == "no exception");
+}
+
+TEST_CASE("rasters are opened by known drivers, and nothing is asked of a network") {
+  const TempFolder folder("drivers");
+  const std::string ppm = (folder / "a.pgm").string(), vrt = (folder / "a.vrt").string();
+  write_bytes(ppm, "P5 2 2 255\nabcd");
+  CHECK(error_of<IoError>([&] { read_info(ppm); }) ==
+        ppm +
+            ": of the format PNM, expected GeoTIFF, NITF or alike; SATSURF_GDAL_DRIVERS=PNM in "
+            "the environment allows it");
+  const auto mosaic = [&](const std::string& source, bool relative, const std::string& more = "") {
+    write_bytes(vrt, "<VRTDataset rasterXSize=\"4\" rasterYSize=\"4\">" + more +
+                         "<VRTRasterBand dataType=\"Byte\" band=\"1\"><SimpleSource>"
+                         "<SourceFilename relativeToVRT=\"" +
+                         (relative ? "1" : "0") + "\">" + source +
+                         "</SourceFilename><SourceBand>1</SourceBand></SimpleSource>"
+                         "</VRTRasterBand></VRTDataset>");
+    return error_of<IoError>([&] { read_image(vrt); });
+  };
+  plain_tiff(folder / "a.tif", 4, 4, 1, GDT_Byte);
+  CHECK(mosaic("a.tif", true) == "no exception");
+  CHECK(mosaic((folder / "a.tif").string(), false) == "no exception");
+  CHECK(mosaic("a.pgm", true) ==
+        vrt +
+            ": its source \"a.pgm\" is of the format PNM, expected GeoTIFF, NITF or alike; "
+            "SATSURF_GDAL_DRIVERS allows further ones");
+  CHECK(mosaic("http://127.0.0.1:9/a.tif", false) ==
+        vrt +
+            ": its source \"http://127.0.0.1:9/a.tif\" is no file, expected a raster on this "
+            "machine");
+  CHECK(mosaic("/vsicurl/http://127.0.0.1:9/a.tif", false) ==
+        vrt +
+            ": its source \"/vsicurl/http://127.0.0.1:9/a.tif\" is no file, expected a raster on "
+            "this machine");
+  CHECK(mosaic("a.tif", true, "<Extra>/vsicurl/http://127.0.0.1:9/dem.tif</Extra>") ==
+        vrt + ": names \"/vsicurl/http://127.0.0.1:9/dem.tif\", expected files on this machine");
+  CHECK(mosaic("a.vrt", true) == vrt + ": a VRT of VRTs nested deeper than 8, expected files");
+  // A server's description is a file as well.
+  write_bytes(folder / "w.xml",
+              "<GDAL_WMS><Service name=\"TMS\"><ServerUrl>http://127.0.0.1:9/${z}</ServerUrl>"
+              "</Service></GDAL_WMS>");
+  CHECK(mosaic("w.xml", true).find("its source \"w.xml\" is ") != std::string::npos);
+  CHECK(error_of<IoError>([&] { read_info("/vsicurl/http://127.0.0.1:9/a.tif"); }) ==
+        "/vsicurl/http://127.0.0.1:9/a.tif: a name of GDAL's virtual file systems, expected a file "
+        "on this machine");
+
+  ::setenv("SATSURF_GDAL_DRIVERS", "HDF5,PNM", 1);
+  CHECK(error_of<IoError>([&] { read_info(ppm); }) == "no exception");
+  ::unsetenv("SATSURF_GDAL_DRIVERS");
+}
+
+TEST_CASE("JSON that is hostile is refused by name, wherever it is read") {
+  const TempFolder folder("hostile");
+  const std::string p = (folder / "v.json").string();
+  const std::string deep =
+      "{\"img\": " + std::string(70000, '[') + std::string(70000, ']') + ", \"rpc\": 1}";
+  std::string huge = as_satnerf(test::synthetic_rpc(), "v.tif", 9, 7).dump();
+  huge.insert(1, "\"x\": 1e999, ");
+  for (const bool view : {true, false}) {
+    CAPTURE(view);
+    const auto says = [&](const std::string& text) {
+      write_bytes(p, text);
+      return error_of<IoError>([&] {
+        if (view)
+          view_info(p);
+        else
+          read_rpc_file(p);
+      });
+    };
+    CHECK(says(deep) == p + ": nested deeper than 64 levels");
+    CHECK(says(huge) == p + ": number overflow parsing '1e999'");
+  }
+  write_bytes(p, "{");
+  std::filesystem::resize_file(p, kMostText + 1);  // sparse
+  CHECK(error_of<IoError>([&] { view_info(p); }) ==
+        p + ": larger than 64 MiB, expected a Sat-NeRF JSON");
+}
+
+TEST_CASE("names that the system does not take are refused as errors of ours") {
+  const TempFolder folder("long-name");
+  const std::string name(300, 'n');
+  for (const char* end : {".tif", ".json"}) {
+    const std::string p = (folder / (name + end)).string();
+    CAPTURE(p);
+    CHECK(error_of<IoError>([&] { view_info(p); }).starts_with(p + ": cannot be found ("));
+  }
+  CHECK(error_of<IoError>([&] { read_geo_raster(folder / name); }).find(name) != std::string::npos);
+  CHECK(error_of<IoError>([&] { read_rpc_file(folder / name); }).find(name) != std::string::npos);
+  const std::string p = (folder / "v.json").string();
+  write_bytes(p, as_satnerf(test::synthetic_rpc(), name + ".tif", 9, 7).dump());
+  CHECK(error_of<IoError>([&] { view_info(p); }).starts_with(p + ": its image \"" + name));
+  // beside this one, a camera's name would be too long
+  const auto longest = folder / (std::string(250, 'n') + ".tif");
+  plain_tiff(longest, 4, 4, 1, GDT_Byte);
+  CHECK(error_of<IoError>([&] {
+          open_view(longest);
+        }).starts_with(longest.string() + ": no camera (RPC)"));
+}
+
+TEST_CASE("what is no regular file is refused before anybody waits for it") {
+  const TempFolder folder("pipe");
+  const std::string p = (folder / "v.tif").string(), j = (folder / "v.json").string();
+  REQUIRE(::mkfifo(p.c_str(), 0600) == 0);
+  CHECK(error_of<IoError>([&] { read_info(p); }) == p + ": is a pipe, expected a raster");
+  CHECK(error_of<IoError>([&] { read_geo_raster(p); }) == p + ": is a pipe, expected a raster");
+  CHECK(error_of<IoError>([&] { read_rpc_file(p); }) == p + ": is a pipe, expected a camera file");
+  write_bytes(j, as_satnerf(test::synthetic_rpc(), "v.tif", 9, 7).dump());
+  CHECK(error_of<IoError>([&] { open_view(j); }) == p + ": is a pipe, expected a raster");
+  write_bytes(j, as_satnerf(test::synthetic_rpc(), "/dev/zero", 9, 7).dump());
+  CHECK(error_of<IoError>([&] { open_view(j); }) == "/dev/zero: is a device, expected a raster");
+  CHECK(error_of<IoError>([&] { read_info(folder.path()); }) ==
+        folder.path().string() + ": is a folder, expected a raster");
 }
 
 TEST_CASE("a view is a raster or a JSON that names one") {

@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/files.h"
+
+#include "satsurf/core/error.h"
+
+#include <fstream>
+#include <system_error>
+
+namespace satsurf {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// What a name stands for that is no file, in words.
+const char* kind_text(fs::file_type type) {
+  switch (type) {
+    case fs::file_type::directory:
+      return "a folder";
+    case fs::file_type::fifo:
+      return "a pipe";
+    case fs::file_type::socket:
+      return "a socket";
+    case fs::file_type::block:
+    case fs::file_type::character:
+      return "a device";
+    default:
+      return "no regular file";
+  }
+}
+
+}  // namespace
+
+bool path_exists(const fs::path& path) noexcept {
+  std::error_code ignored;
+  return fs::exists(path, ignored);
+}
+
+bool is_file(const fs::path& path) noexcept {
+  std::error_code ignored;
+  return fs::is_regular_file(path, ignored);
+}
+
+bool is_folder(const fs::path& path) noexcept {
+  std::error_code ignored;
+  return fs::is_directory(path, ignored);
+}
+
+void require_file(const fs::path& path, const std::string& wanted) {
+  std::error_code error;
+  const fs::file_type type = fs::status(path, error).type();
+  if (type == fs::file_type::regular) return;
+  if (type == fs::file_type::not_found)
+    throw IoError(path.string() + ": no such file, expected " + wanted);
+  if (error)
+    throw IoError(path.string() + ": cannot be found (" + error.message() + "), expected " +
+                  wanted);
+  throw IoError(path.string() + ": is " + kind_text(type) + ", expected " + wanted);
+}
+
+std::string read_text_file(const fs::path& path, const std::string& wanted) {
+  require_file(path, wanted);
+  std::ifstream in(path, std::ios::binary);
+  if (!in.is_open()) throw IoError(path.string() + ": cannot be read, expected " + wanted);
+  // The size is what arrives: files of /proc say 0.
+  std::string text;
+  constexpr std::size_t kPiece = 1u << 20;
+  while (in) {
+    const std::size_t before = text.size();
+    text.resize(before + kPiece);
+    in.read(text.data() + before, kPiece);
+    text.resize(before + static_cast<std::size_t>(in.gcount()));
+    if (text.size() > kMostText)
+      throw IoError(path.string() + ": larger than " + std::to_string(kMostText >> 20) +
+                    " MiB, expected " + wanted);
+  }
+  if (in.bad()) throw IoError(path.string() + ": cannot be read, expected " + wanted);
+  return text;
+}
+
+}  // namespace satsurf
