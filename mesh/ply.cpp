@@ -3,6 +3,7 @@
 
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/error.h"
+#include "satsurf/core/files.h"
 
 #include <algorithm>
 #include <array>
@@ -54,8 +55,9 @@ std::vector<std::string> words_of(const std::string& line) {
 class Reader {
  public:
   explicit Reader(const std::filesystem::path& path) : path_(path) {
-    std::ifstream in(path, std::ios::binary);
-    if (!in) fail("cannot be opened");
+    std::ifstream in;
+    if (is_file(path)) in.open(path, std::ios::binary);  // opening a pipe waits
+    if (!in.is_open()) fail("cannot be opened");
     bytes_.assign(std::istreambuf_iterator<char>(in), {});
     if (in.bad()) fail("cannot be read");
   }
@@ -143,7 +145,7 @@ class Reader {
         fail("'" + text.substr(0, 60) + "', expected vertices of numbers, then faces of one list");
       }
     }
-    if (!list_) fail("no faces, expected a mesh");
+    if (!list_ || faces_ == 0) fail("no faces, expected a mesh");
   }
 
   void find(std::size_t property) {

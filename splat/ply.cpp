@@ -3,6 +3,7 @@
 
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/dims.h"
+#include "satsurf/core/files.h"
 
 #include <algorithm>
 #include <array>
@@ -10,7 +11,9 @@
 #include <charconv>
 #include <cmath>
 #include <fstream>
+#include <limits>
 #include <optional>
+#include <sstream>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -38,6 +41,9 @@ enum Property : std::size_t {
   kQuat = 13
 };
 
+/// m from the origin, and across; farther out a float has no centimetres.
+constexpr float kFarthest = 1e5F;
+
 constexpr std::size_t kMostHeaderLine = 65536;
 constexpr std::size_t kMostProperties = 4096;
 
@@ -56,8 +62,9 @@ std::vector<std::string_view> words(std::string_view line) {
 
 class Reader {
  public:
-  explicit Reader(const std::filesystem::path& path) : path_(path), in_(path, std::ios::binary) {
-    if (!in_) fail("cannot be opened");
+  explicit Reader(const std::filesystem::path& path) : path_(path) {
+    if (is_file(path)) in_.open(path, std::ios::binary);  // opening a pipe waits
+    if (!in_.is_open()) fail("cannot be opened");
   }
 
   PlyContent read() {
@@ -101,6 +108,7 @@ class Reader {
       fill(means, 3, kMean, [](double v) { return v; });
       fill(quats, 4, kQuat, [](double v) { return v; });
       fill(scales, 2, kScale, [](double v) { return std::exp(v); });
+      check(p, means.data() + 3 * p, quats.data() + 4 * p, scales.data() + 2 * p);
       fill(opacity, 1, kOpacity, [](double v) { return 1 / (1 + std::exp(-v)); });
       fill(colours, 3, kColour, [](double v) { return 0.5 + kDegreeZero * v; });
     }
@@ -110,6 +118,26 @@ class Reader {
  private:
   [[noreturn]] void fail(const std::string& what) const {
     throw IoError("read_ply: " + path_.string() + ": " + what);
+  }
+
+  /// Refuses what can be written down but is no surfel.
+  void check(Index p, const float* mean, const float* quat, const float* scale) const {
+    const auto refuse = [&](const char* what, double came, const char* expected) {
+      std::ostringstream text;
+      text << what << " of vertex " << p << " is " << came << ", expected " << expected;
+      fail(text.str());
+    };
+    for (int i = 0; i < 3; ++i)
+      if (!(std::abs(mean[i]) <= kFarthest))
+        refuse("a coordinate", mean[i],
+               "at most 100000 m either way: relative to an origin near the scene");
+    double square = 0;
+    for (int i = 0; i < 4; ++i) square += static_cast<double>(quat[i]) * quat[i];
+    if (!(square > 1e-12 && square < 1e12))
+      refuse("the length of the quaternion", std::sqrt(square), "a rotation");
+    for (int i = 0; i < 2; ++i)
+      if (!(scale[i] >= std::numeric_limits<float>::min() && scale[i] <= kFarthest))
+        refuse("a scale", scale[i], "one above 0 and at most 100000 m");
   }
 
   std::string line() {

@@ -121,6 +121,8 @@ TEST_CASE("mesh files that are damaged are refused") {
         "property x comes twice");
   CHECK(complaint(kFront + "element vertex 0\n" + xyz + "end_header\n") ==
         "no faces, expected a mesh");
+  CHECK(complaint(kFront + "element vertex 3\n" + xyz + "element face 0\n" + list + "end_header\n" +
+                  points) == "no faces, expected a mesh");
   CHECK(complaint(kFront + "element edge 3\n") ==
         "'element edge 3', expected vertices of numbers, then faces of one list");
   CHECK(complaint(kFront + "element vertex 3\nproperty float x\nelement face 1\n" + list +

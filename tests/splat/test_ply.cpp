@@ -213,6 +213,31 @@ TEST_CASE("ply: damaged files are refused in one line") {
   CHECK(complaint(bad.path) == "property rot_3 of vertex 2 is nan, expected a finite number");
 }
 
+TEST_CASE("ply: numbers that are no surfel's are refused") {
+  const TemporaryFile good("good.ply"), bad("bad.ply");
+  splat::write_ply(good.path, random_surfels<float>(3, 0, 9, 9, 1), {});
+  const std::string bytes = good.bytes();
+  // of the last vertex, properties counted from its first
+  const auto with = [&](std::size_t first, std::initializer_list<float> values) {
+    std::string changed = bytes;
+    std::memcpy(changed.data() + changed.size() - 4 * (17 - first), values.begin(),
+                4 * values.size());
+    bad.write(changed);
+    return complaint(bad.path);
+  };
+  CHECK(with(0, {1e5F}) == "read without complaint");
+  CHECK(with(1, {1e38F}) ==
+        "a coordinate of vertex 2 is 1e+38, expected at most 100000 m either way: relative to an "
+        "origin near the scene");
+  CHECK(with(10, {1000}) ==
+        "a scale of vertex 2 is inf, expected one above 0 and at most 100000 m");
+  CHECK(with(11, {-1000}) == "a scale of vertex 2 is 0, expected one above 0 and at most 100000 m");
+  CHECK(with(13, {0, 0, 0, 0}) ==
+        "the length of the quaternion of vertex 2 is 0, expected a rotation");
+  CHECK(with(13, {1e30F, 0, 0, 0})
+            .starts_with("the length of the quaternion of vertex 2 is 1e+30, expected"));
+}
+
 TEST_CASE("ply: what cannot be written is refused and leaves no file") {
   const TemporaryFile file("refused.ply");
   const auto text = [&](const splat::Surfels& s,
