@@ -389,7 +389,7 @@ refuses "a number out of range" 2 "lr.*2" "$satsurf" train --data data --out no 
 refuses "no number" 2 "steps.*many" "$satsurf" train --data data --out no --steps many
 refuses "unknown preset" 2 "huge.*base8" "$satsurf" train --data data --out no --preset huge
 refuses "crop that does not fit" 2 "crop" "$satsurf" train --data data --out no --preset tiny --crop 33
-refuses "unknown task" 2 "task.*mini.*surface, mono" "$satsurf" train --data data --out no --task mini
+refuses "unknown task" 2 "task.*mini.*cascade, mono, surface" "$satsurf" train --data data --out no --task mini
 refuses "a flag of another task" 2 "task mono: --views" "$satsurf" train --data data --out no --task mono --views 3
 refuses "a flag of the other task" 2 "task cascade: --least_relief" "$satsurf" train --data data --out no --least_relief 3
 refuses "crop that does not fit mono" 2 "crop is 48, expected a multiple of 32" "$satsurf" train --data data --out no --task mono --crop 48
@@ -542,7 +542,7 @@ cat >huge.vrt <<XML
 <VRTDataset rasterXSize="300000" rasterYSize="300000"><VRTRasterBand dataType="Byte" band="1"/></VRTDataset>
 XML
 sed 's/"a.asc", "width": 64, "height": 64/"huge.vrt", "width": 300000, "height": 300000/' a.json >huge.json
-refuses "more pixels than memory" 1 "huge.vrt: 300000 x 300000 px.*memory" reconstruct a.json huge.json --out no --weights $weights
+refuses "more pixels than the file can hold" 1 "huge.vrt: 300000 x 300000 px.*empty or damaged" reconstruct a.json huge.json --out no --weights $weights
 raster flat flat && sed 's/"b.asc"/"flat.asc"/' b.json >flat.json
 refuses "an image of one grey" 1 "flat.json: the same grey everywhere" reconstruct a.json flat.json --out no --weights $weights
 sed 's/"row_num"/"row_nums"/' b.json >key.json
