@@ -171,8 +171,9 @@ void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput&
   check_output_file("--confidence-csv", options.confidence_csv, output.overwrite, inputs);
   check_output_file("--confidence-figure", options.confidence_figure, output.overwrite, inputs);
   check_distinct({options.csv, output.json, options.confidence_csv, options.confidence_figure});
-  const nn::Model model = nn::load_model(weights);
-  const std::optional<nn::SurfaceModel> network = nn::load_surface(weights);
+  const TensorFile networks = load_safetensors(weights);
+  const nn::Model model = nn::model_from(networks, weights.string());
+  const std::optional<nn::SurfaceModel> network = nn::surface_from(networks, weights.string());
   std::optional<nn::Lpips> lpips;
   if (!options.lpips_weights.empty()) lpips.emplace(nn::Lpips::load(options.lpips_weights));
   Progress progress;

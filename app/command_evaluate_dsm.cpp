@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/evaluate_options.h"
+#include "satsurf/app/legend.h"
 #include "satsurf/app/log.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/preview.h"
+#include "satsurf/app/products.h"
 #include "satsurf/app/record.h"
 #include "satsurf/app/scores_json.h"
 #include "satsurf/core/error.h"
@@ -92,7 +94,13 @@ void run_evaluate_dsm(const EvaluateDsmCommand& options, const EvaluateOutput& o
   } catch (const Error& e) {
     throw Error(options.dsm.string() + " and " + options.truth.string() + ": " + e.what());
   }
-  if (!options.error_map.empty()) write_png(options.error_map, error_picture(c.error));
+  if (!options.error_map.empty()) {
+    const ColourScale scale = error_scale();
+    const scene::HeightField& truth = pair.truth;
+    write_map(options.error_map, error_picture(c.error), &scale,
+              pair.frame ? geo_grid(truth, *pair.frame)
+                         : rpc::GeoGrid{0, truth.x0, truth.y0, truth.step});
+  }
   if (!output.json.empty()) {
     RunRecord record("evaluate", to_json<EvaluateDsmConfig>(options), 0);
     for (const fs::path& file : inputs) record.add_input(file);

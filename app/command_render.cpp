@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/legend.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/preview.h"
 #include "satsurf/app/products.h"
@@ -13,6 +14,7 @@
 #include "satsurf/splat/view.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <memory>
 #include <optional>
@@ -25,12 +27,29 @@ namespace {
 
 namespace fs = std::filesystem;
 
+}  // namespace
+
+/// What a view from above shows.
+enum class NadirContent { automatic, colours, heights };
+
+}  // namespace satsurf::app
+
+template <>
+struct satsurf::EnumNames<satsurf::app::NadirContent> {
+  static constexpr std::array names{"automatic", "colours", "heights"};
+};
+
+namespace satsurf::app {
+namespace {
+
 /// What to render.
 struct RenderConfig {
   fs::path surfels, image;
   bool nadir = false;  ///< from straight above, instead of into `image`
   std::vector<fs::path> image_dirs;
   double resolution = 0.5;  ///< of the view from above, m
+  fs::path grid;            ///< raster whose cells the view from above has; empty for its own
+  NadirContent show = NadirContent::automatic;
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -45,6 +64,13 @@ struct RenderConfig {
             .placeholder = "DIR"});
     v("resolution", s.resolution,
       Field{.help = "cell of the view from above", .unit = "m", .min = 0.01, .max = 1000});
+    v("grid", s.grid,
+      Field{.help = "give the view from above the cells of this raster, e.g. dsm.tif of the same "
+                    "reconstruction, instead of --resolution",
+            .placeholder = "FILE"});
+    v("show", s.show,
+      Field{.help =
+                "what the view from above shows; automatic is colours as .png, heights as .tif"});
   }
 };
 
@@ -81,6 +107,61 @@ void check_cells(const std::string& where, Index width, Index height, const char
                 " pixels to render, expected fewer than " + std::to_string(kLargest) + hint);
 }
 
+/// The cells of a view from above, in the local frame.
+struct GridFromAbove {
+  scene::HeightField field;  ///< without heights
+  Index height = 0, width = 0;
+};
+/// throws  IoError for a --grid of another reference system
+GridFromAbove grid_from_above(const RenderConfig& options, const rpc::LocalFrame& frame,
+                              const Tensor& means) {
+  if (!options.grid.empty()) {
+    const rpc::GeoRaster raster = rpc::read_geo_raster(options.grid);
+    if (raster.grid.epsg != frame.zone.epsg())
+      throw IoError(options.grid.string() + ": EPSG:" + std::to_string(raster.grid.epsg) +
+                    ", expected EPSG:" + std::to_string(frame.zone.epsg()) + " of " +
+                    options.surfels.string());
+    const std::size_t rank = raster.values.rank();
+    return {
+        {{}, raster.grid.x0 - frame.easting0, raster.grid.y0 - frame.northing0, raster.grid.step},
+        raster.values.dim(rank - 2),
+        raster.values.dim(rank - 1)};
+  }
+  const double step = options.resolution;
+  const auto [x_low, x_high] = column_range(means, 0);
+  const auto [y_low, y_high] = column_range(means, 1);
+  return {{{}, std::floor(x_low / step) * step, std::ceil(y_high / step) * step, step},
+          static_cast<Index>(std::ceil((y_high - y_low) / step)) + 1,
+          static_cast<Index>(std::ceil((x_high - x_low) / step)) + 1};
+}
+
+/// Writes colours or heights, each as a GeoTIFF or as a PNG with world files.
+template <class Render>
+void write_from_above(const RenderCommand& options, const Render& render,
+                      const scene::HeightField& grid, const rpc::LocalFrame& frame) {
+  const bool png = options.out.extension() == ".png";
+  const bool heights =
+      options.show == NadirContent::heights || (options.show == NadirContent::automatic && !png);
+  if (heights && png) {
+    const Tensor z = splat::surface_heights(render);
+    const ColourScale scale = height_scale(z, frame.h0);
+    return write_map(options.out, height_picture(z), &scale, geo_grid(grid, frame));
+  }
+  if (heights)
+    return write_field(options.out, splat::surface_heights(render), grid, frame, frame.h0,
+                       rpc::ellipsoidal_height("Surface heights"));
+  if (png) {
+    write_png(options.out, render.colour.value());
+    return write_world_files(options.out, geo_grid(grid, frame));
+  }
+  Tensor colour = render.colour.value().clone();
+  for (float& v : colour.values()) v *= 255;
+  rpc::GeoTags tags;
+  tags.unit = "", tags.description = "The surface from above", tags.type = rpc::CellType::uint8;
+  tags.nodata = 0;
+  write_field(options.out, colour, grid, frame, 0, tags);
+}
+
 void run_render(const RenderCommand& options) {
   const std::string extension = options.out.extension().string();
   const bool png = extension == ".png", tif = extension == ".tif" || extension == ".tiff";
@@ -91,6 +172,7 @@ void run_render(const RenderCommand& options) {
   if (!options.image.empty()) image = rpc::view_info(options.image, options.image_dirs);
   std::vector<fs::path> inputs = image ? image->files : std::vector<fs::path>();
   inputs.push_back(options.surfels);
+  inputs.push_back(options.grid);
   check_output_file("--out", options.out, options.overwrite, inputs);
   const NoGrad no_grad;
   const splat::PlyContent content = splat::read_ply(options.surfels);
@@ -119,19 +201,13 @@ void run_render(const RenderCommand& options) {
     return rpc::write_rpc_geotiff(options.out, colour, rpc::PixelType::uint8, *image->rpc);
   }
 
-  const double step = options.resolution;
-  const auto [x_low, x_high] = column_range(means, 0);
-  const auto [y_low, y_high] = column_range(means, 1);
-  const auto W = static_cast<Index>(std::ceil((x_high - x_low) / step)) + 1;
-  const auto H = static_cast<Index>(std::ceil((y_high - y_low) / step)) + 1;
-  const scene::HeightField grid{
-      {}, std::floor(x_low / step) * step, std::ceil(y_high / step) * step, step};
-  check_cells("render: ", W, H, "; give a larger --resolution");
+  const GridFromAbove above = grid_from_above(options, frame, means);
+  check_cells("render: ", above.width, above.height, "; give a larger --resolution");
+  const scene::HeightField& grid = above.field;
   const auto render =
-      splat::render_view(content.surfels, splat::nadir_camera(grid.x0, grid.y0, step), H, W, 1);
-  if (png) return write_png(options.out, render.colour.value());
-  write_field(options.out, splat::surface_heights(render), grid, frame, frame.h0,
-              rpc::ellipsoidal_height("Surface heights"));
+      splat::render_view(content.surfels, splat::nadir_camera(grid.x0, grid.y0, grid.step),
+                         above.height, above.width, 1);
+  write_from_above(options, render, grid, frame);
 }
 
 /// A flag takes the place of what the file says of where to look from.
@@ -158,7 +234,9 @@ void add_render(Program& program) {
   command.files = {{"--out *.png", "colours"},
                    {"--out *.tif",
                     "with --image the colours, 8 bit, and the image's camera in the RPC tag; with "
-                    "--nadir the heights, m above the ellipsoid, Float32"}};
+                    "--nadir the heights, m above the ellipsoid, Float32, or the colours, 8 bit, "
+                    "georeferenced; see --show"},
+                   {"*.pgw, *.png.aux.xml", "where a .png of --nadir lies, for GIS programs"}};
   const auto options = std::make_shared<RenderCommand>();
   RenderConfig& config = *options;
   Flags& flags = command.flags;

@@ -118,6 +118,21 @@ std::vector<fs::path> prepare(train::SurfaceTrainConfig& config, bool) {
   return files;
 }
 
+/// The folder to train into; one that holds a run is refused with the flag that goes on with it.
+OutputFolder output_of(const TrainOptions& options, const std::vector<fs::path>& inputs) {
+  if (options.resume) return OutputFolder::in_place(options.out);
+  try {
+    return OutputFolder::staged(options.out, options.overwrite, inputs);
+  } catch (const IoError& e) {
+    const std::string text = e.what();
+    std::error_code code;
+    if (!text.ends_with("use --overwrite") ||
+        !fs::exists(options.out / "checkpoint.safetensors", code))
+      throw;
+    throw IoError(text + ", or --resume to go on with its run");
+  }
+}
+
 void run_train(const TrainOptions& options) {
   auto config = options.config;
   const auto settings =
@@ -126,9 +141,7 @@ void run_train(const TrainOptions& options) {
       std::visit([&](auto& c) { return prepare(c, options.resume); }, config);
   std::vector<fs::path> inputs{options.data, options.config_file};
   inputs.insert(inputs.end(), weights.begin(), weights.end());
-  TrainingOutput folder(options.resume
-                            ? OutputFolder::in_place(options.out)
-                            : OutputFolder::staged(options.out, options.overwrite, inputs));
+  TrainingOutput folder(output_of(options, inputs));
   Progress progress;
   train::StepReport last;
   if (!options.data.empty())

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/confidence_figure.h"
 
+#include "satsurf/app/svg.h"
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -25,40 +27,6 @@ struct Share {
 constexpr std::array<Share, 3> kShares{{{"7.5 m", "#c4dfc6", &evaluate::ConfidenceBin::pag7_5},
                                         {"2.5 m", "#7fb885", &evaluate::ConfidenceBin::pag2_5},
                                         {"1 m", "#35783f", &evaluate::ConfidenceBin::pag1}}};
-
-std::string escaped(const std::string& text) {
-  std::string out;
-  for (const char c : text)
-    out += c == '&' ? "&amp;" : c == '<' ? "&lt;" : c == '>' ? "&gt;" : std::string(1, c);
-  return out;
-}
-
-/// anchor  start, middle or end of the text lies at x
-/// more    further attributes
-std::string text_at(double x, double y, const char* anchor, const std::string& text,
-                    const std::string& more = {}) {
-  return fmt::sprintf("<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\" ", x, y, anchor) + more +
-         ">" + escaped(text) + "</text>\n";
-}
-
-std::string line(double x0, double y0, double x1, double y1, const char* colour, double width) {
-  return fmt::sprintf(
-      "<line x1=\"%.1f\" y1=\"%.1f\" x2=\"%.1f\" y2=\"%.1f\" stroke=\"%s\" "
-      "stroke-width=\"%.1f\"/>\n",
-      x0, y0, x1, y1, colour, width);
-}
-
-std::string box(double x, double y, double width, double height, const char* colour) {
-  return fmt::sprintf("<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\" fill=\"%s\"/>\n",
-                      x, y, width, height, colour);
-}
-
-/// A step of 1, 2 or 5 times a power of ten that cuts [0, high] into four to ten.
-double tick_step(double high) {
-  const double power = std::pow(10, std::floor(std::log10(high)));
-  const double lead = high / power;
-  return power * (lead < 2 ? 0.2 : lead < 4 ? 0.5 : lead < 8 ? 1 : 2);
-}
 
 /// The largest number to be drawn.
 double highest_of(const std::vector<evaluate::ConfidenceBin>& bins) {

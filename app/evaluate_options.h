@@ -69,7 +69,8 @@ struct EvaluateDsmCommand : EvaluateDsmConfig {
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
     v("error_map", s.error_map,
-      Field{.help = "picture of the errors, blue too low, red too high, 5 m at most",
+      Field{.help = "map of the errors, blue too low, red too high, 5 m at most, with a legend "
+                    "below; a world file lies beside it",
             .flag = "--error-map",
             .placeholder = "PNG"});
   }

@@ -11,9 +11,6 @@
 #include <new>
 #include <string>
 
-#include <fmt/format.h>
-#include <fmt/ranges.h>
-
 namespace satsurf::app {
 namespace {
 
@@ -37,8 +34,8 @@ std::string out_of_memory_text(const CLI::App& command) {
 }
 
 void add_commands(Program& program) {
-  for (const auto add :
-       {add_info, add_simulate, add_train, add_reconstruct, add_evaluate, add_render, add_help})
+  for (const auto add : {add_info, add_simulate, add_train, add_reconstruct, add_evaluate,
+                         add_render, add_export, add_help})
     add(program);
 }
 
@@ -53,8 +50,7 @@ int run_program(int argc, char** argv) {
       "Exit codes: 0 done, 1 failed, 2 wrong usage, 128 + n stopped by signal n (130: Ctrl-C).");
   add_commands(program);
   if (argc > 1 && argv[1][0] != '-' && program.find(argv[1]) == nullptr) {
-    complain(fmt::format("unknown command {}, expected one of {}", argv[1],
-                         fmt::join(program.names(), ", ")));
+    complain(unknown_command(program, argv[1]));
     return kUsage;
   }
   try {
@@ -62,6 +58,9 @@ int run_program(int argc, char** argv) {
   } catch (const CLI::Success& e) {
     app.exit(e);  // prints help or version
     return kDone;
+  } catch (const CLI::ExtrasError&) {
+    complain(unexpected_arguments(program, app.remaining(true)));
+    return kUsage;
   } catch (const CLI::ParseError& e) {
     complain(std::string(e.what()) + "; see satsurf --help");
     return kUsage;
@@ -74,6 +73,10 @@ int run_program(int argc, char** argv) {
     program.run();
   } catch (const std::bad_alloc&) {
     throw Error(out_of_memory_text(*app.get_subcommands().front()));
+  } catch (const IoError& e) {
+    const CLI::App& called = *app.get_subcommands().front();
+    if (called.get_option_no_throw("--image-dir") == nullptr) throw;
+    throw IoError(with_image_dir(e.what()));
   }
   if (std::fflush(stdout) != 0) throw IoError("stdout: cannot be written");
   return kDone;
@@ -89,6 +92,8 @@ int main(int argc, char** argv) {
   } catch (const Interrupted&) {
     complain("stopped");
     return kSignal + interrupt_signal();
+  } catch (const AlreadyTold&) {
+    return kFailed;
   } catch (const satsurf::ConfigError& e) {
     complain(e.what());
     return kUsage;

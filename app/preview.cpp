@@ -6,6 +6,7 @@
 #include "satsurf/core/error.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <memory>
 #include <string>
@@ -61,19 +62,111 @@ Tensor coloured(const char* where, const Tensor& unit, const char* map,
   return out;
 }
 
+constexpr const char *kHeights = "viridis", *kConfidence = "magma", *kSigma = "inferno",
+                     *kCounts = "viridis";
+// blue - white - red, equally light at both ends
+const std::vector<float> kErrors{0.02f, 0.19f, 0.55f, 0.40f, 0.62f, 0.90f, 0.97f, 0.97f,
+                                 0.97f, 0.95f, 0.55f, 0.40f, 0.60f, 0.02f, 0.10f};
+
+/// The colours of a map, low to high.
+std::vector<std::array<float, 3>> ramp(const char* map, const std::vector<float>& knots = {}) {
+  constexpr Index kColours = 33;
+  Tensor unit({1, kColours});
+  for (Index i = 0; i < kColours; ++i)
+    unit[i] = static_cast<float>(i) / static_cast<float>(kColours - 1);
+  const Tensor rgb = coloured("ramp", unit, map, knots);
+  std::vector<std::array<float, 3>> out;
+  for (Index i = 0; i < kColours; ++i)
+    out.push_back({rgb[i], rgb[kColours + i], rgb[2 * kColours + i]});
+  return out;
+}
+
+/// Values as shares of a scale.
+Tensor scaled(const Tensor& values, double low, double high) {
+  Tensor unit = values.clone();
+  const auto from = static_cast<float>(low), span = static_cast<float>(high - low);
+  for (float& v : unit.values()) v = (v - from) / span;
+  return unit;
+}
+
+std::vector<float> known_of(const Tensor& values) {
+  std::vector<float> known;
+  for (const float v : values.values())
+    if (std::isfinite(v)) known.push_back(v);
+  return known;
+}
+
+/// The bytes of a picture as a format of the library has them.
+std::string encoded(const std::string& where, const Tensor& picture, const char* format) {
+  const bool one = picture.rank() == 2;
+  Dims dim(where);
+  dim.match("picture", picture, one ? "H W" : "3 H W");
+  const Index H = dim["H"], W = dim["W"], C = one ? 1 : 3, P = H * W;
+  if (P == 0)
+    throw ShapeError(where + ": picture has shape " + picture.shape().str() + ", expected pixels");
+  std::vector<unsigned char> bytes(static_cast<std::size_t>(C * P));
+  for (Index i = 0; i < P; ++i)
+    for (Index c = 0; c < C; ++c) {
+      const float v = picture[c * P + i];
+      bytes[static_cast<std::size_t>(i * C + c)] = static_cast<unsigned char>(
+          255 * (std::isfinite(v) ? std::clamp(v, 0.f, 1.f) : kGrey) + 0.5f);
+    }
+  std::vector<unsigned char> made;
+  OIIO::Filesystem::IOVecOutput memory(made);
+  const std::unique_ptr<OIIO::ImageOutput> out = OIIO::ImageOutput::create(format);
+  if (!out) throw IoError(where + ": " + OIIO::geterror());
+  OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), static_cast<int>(C),
+                       OIIO::TypeDesc::UINT8);
+  if (std::string_view(format) == "png") {
+    spec.attribute("png:compressionLevel", 4);  // of a preview time counts more than bytes
+  } else {
+    spec.attribute("Compression", "jpeg:85");
+    spec.attribute("jpeg:subsampling", "4:4:4");
+  }
+  out->set_ioproxy(&memory);
+  if (!out->open(std::string("picture.") + format, spec) ||
+      !out->write_image(OIIO::TypeDesc::UINT8, bytes.data()) || !out->close())
+    throw IoError(where + ": " + out->geterror());
+  return {reinterpret_cast<const char*>(made.data()), made.size()};
+}
+
 }  // namespace
 
+ColourScale height_scale(const Tensor& z, double h0) {
+  std::vector<float> known = known_of(z);
+  ColourScale scale{"height above the ellipsoid, m", h0, h0 + 1, true, true, ramp(kHeights)};
+  if (known.empty()) return scale;
+  const auto low = static_cast<double>(percentile(known, 0.02)),
+             high = static_cast<double>(percentile(known, 0.98));
+  scale.low = low + h0;
+  scale.high = std::max(high, low + 1e-3) + h0;  // a flat surface has one colour
+  return scale;
+}
+
+ColourScale confidence_scale() { return {"confidence", 0, 1, false, false, ramp(kConfidence)}; }
+
+ColourScale sigma_scale(const Tensor& sigma) {
+  std::vector<float> known = known_of(sigma);
+  const double high = known.empty() ? 1 : static_cast<double>(percentile(known, 0.98));
+  return {"expected error, m", 0, std::max(high, 1e-3), false, true, ramp(kSigma)};
+}
+
+ColourScale count_scale(Index most) {
+  return {"images that see the cell",
+          0,
+          static_cast<double>(std::max<Index>(most, 1)),
+          false,
+          false,
+          ramp(kCounts)};
+}
+
+ColourScale error_scale(double limit) {
+  return {"error, m: blue too low, red too high", -limit, limit, true, true, ramp("", kErrors)};
+}
+
 Tensor height_picture(const Tensor& z) {
-  std::vector<float> known;
-  for (const float v : z.values())
-    if (std::isfinite(v)) known.push_back(v);
-  Tensor unit = z.clone();
-  if (!known.empty()) {
-    const float low = percentile(known, 0.02), high = percentile(known, 0.98);
-    const float span = std::max(high - low, 1e-3f);  // a flat surface has one colour
-    for (float& v : unit.values()) v = (v - low) / span;
-  }
-  return coloured("height_picture", unit, "viridis", {});
+  const ColourScale scale = height_scale(z, 0);
+  return coloured("height_picture", scaled(z, scale.low, scale.high), kHeights, {});
 }
 
 Tensor hillshade_picture(const Tensor& z, double step) {
@@ -108,47 +201,27 @@ Tensor hillshade_picture(const Tensor& z, double step) {
 }
 
 Tensor confidence_picture(const Tensor& confidence) {
-  return coloured("confidence_picture", confidence, "magma", {});
+  return coloured("confidence_picture", confidence, kConfidence, {});
+}
+
+Tensor sigma_picture(const Tensor& sigma) {
+  return coloured("sigma_picture", scaled(sigma, 0, sigma_scale(sigma).high), kSigma, {});
+}
+
+Tensor count_picture(const Tensor& views, Index most) {
+  return coloured("count_picture", scaled(views, 0, count_scale(most).high), kCounts, {});
 }
 
 Tensor error_picture(const Tensor& error, double limit) {
-  Tensor unit = error.clone();
-  for (float& v : unit.values()) v = 0.5f + 0.5f * v / static_cast<float>(limit);
-  // blue - white - red, equally light at both ends
-  return coloured("error_picture", unit, "",
-                  {0.02f, 0.19f, 0.55f, 0.40f, 0.62f, 0.90f, 0.97f, 0.97f, 0.97f, 0.95f, 0.55f,
-                   0.40f, 0.60f, 0.02f, 0.10f});
+  return coloured("error_picture", scaled(error, -limit, limit), "", kErrors);
 }
 
-void write_png(const std::filesystem::path& path, const Tensor& picture) {
-  const std::string where = "write_png: " + path.string();
-  const bool one = picture.rank() == 2;
-  Dims dim(where);
-  dim.match("picture", picture, one ? "H W" : "3 H W");
-  const Index H = dim["H"], W = dim["W"], C = one ? 1 : 3, P = H * W;
-  if (P == 0)
-    throw ShapeError(where + ": picture has shape " + picture.shape().str() + ", expected pixels");
-  std::vector<unsigned char> bytes(static_cast<std::size_t>(C * P));
-  for (Index i = 0; i < P; ++i)
-    for (Index c = 0; c < C; ++c) {
-      const float v = picture[c * P + i];
-      bytes[static_cast<std::size_t>(i * C + c)] = static_cast<unsigned char>(
-          255 * (std::isfinite(v) ? std::clamp(v, 0.f, 1.f) : kGrey) + 0.5f);
-    }
+std::string png_bytes(const Tensor& picture) { return encoded("png_bytes", picture, "png"); }
 
-  std::vector<unsigned char> encoded;
-  OIIO::Filesystem::IOVecOutput memory(encoded);
-  const std::unique_ptr<OIIO::ImageOutput> out = OIIO::ImageOutput::create("png");
-  if (!out) throw IoError(where + ": " + OIIO::geterror());
-  OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), static_cast<int>(C),
-                       OIIO::TypeDesc::UINT8);
-  spec.attribute("png:compressionLevel", 4);  // of a preview time counts more than bytes
-  out->set_ioproxy(&memory);
-  if (!out->open(path.filename().string(), spec) ||
-      !out->write_image(OIIO::TypeDesc::UINT8, bytes.data()) || !out->close())
-    throw IoError(where + ": " + out->geterror());
-  atomic_write(path,
-               std::string_view(reinterpret_cast<const char*>(encoded.data()), encoded.size()));
+std::string jpeg_bytes(const Tensor& picture) { return encoded("jpeg_bytes", picture, "jpg"); }
+
+void write_png(const std::filesystem::path& path, const Tensor& picture) {
+  atomic_write(path, encoded("write_png: " + path.string(), picture, "png"));
 }
 
 }  // namespace satsurf::app

@@ -42,17 +42,21 @@ rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
   return frame;
 }
 
+rpc::GeoGrid geo_grid(const scene::HeightField& grid, const rpc::LocalFrame& frame) {
+  return {frame.zone.epsg(), grid.x0 + frame.easting0, grid.y0 + frame.northing0, grid.step};
+}
+
+rpc::GeoTags signed_tags(rpc::GeoTags tags) {
+  tags.software = std::string("satsurf ") + program_version();
+  return tags;
+}
+
 void write_field(const std::filesystem::path& path, const Tensor& values,
                  const scene::HeightField& grid, const rpc::LocalFrame& frame, double offset,
                  const rpc::GeoTags& tags) {
   Tensor out = values.clone();
   for (float& v : out.values()) v = static_cast<float>(static_cast<double>(v) + offset);
-  rpc::GeoTags signed_tags = tags;
-  signed_tags.software = std::string("satsurf ") + program_version();
-  rpc::write_geo_raster(
-      path, out,
-      {frame.zone.epsg(), grid.x0 + frame.easting0, grid.y0 + frame.northing0, grid.step},
-      signed_tags);
+  rpc::write_geo_raster(path, out, geo_grid(grid, frame), signed_tags(tags));
 }
 
 }  // namespace satsurf::app

@@ -19,6 +19,12 @@ std::vector<std::string> frame_comments(const rpc::LocalFrame& frame);
 rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
                                     const std::string& where);
 
+/// Where the grid of a local field lies.
+rpc::GeoGrid geo_grid(const scene::HeightField& grid, const rpc::LocalFrame& frame);
+
+/// Tags that name the program as the one that made the values.
+rpc::GeoTags signed_tags(rpc::GeoTags tags);
+
 /// Writes a GeoTIFF of what is known on the grid of a local field.
 /// values  [H W] or [C H W], NaN where unknown
 /// offset  added to every value: the frame's `h0` makes local heights ellipsoidal

@@ -85,6 +85,19 @@ struct Program {
   }
 };
 
+/// Thrown where all that went wrong has been told: exit code 1 without a further word.
+struct AlreadyTold {};
+
+/// A complaint of an image that is nowhere, with the flag that mends it: what lies below this room
+/// knows no flags. Others come back as they are.
+std::string with_image_dir(std::string text);
+
+/// That a command is not known, and which one was meant.
+std::string unknown_command(const Program& program, const std::string& name);
+/// That arguments of a line were not expected, and what was meant by the first of them.
+/// left  what the parser could not place, in order
+std::string unexpected_arguments(const Program& program, const std::vector<std::string>& left);
+
 /// Prints a configuration as --config takes it.
 template <HasFields S>
 void print_config(const S& config) {
@@ -107,6 +120,8 @@ void add_reconstruct(Program& program);
 void add_evaluate(Program& program);
 /// Renders a surfel file into a camera or from above.
 void add_render(Program& program);
+/// Turns results into other formats: a mesh or a surface into GLB, surfels into rasters.
+void add_export(Program& program);
 /// Help of the program or a command, and the reference of all.
 void add_help(Program& program);
 

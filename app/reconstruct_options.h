@@ -3,6 +3,8 @@
 
 #include "satsurf/app/program.h"
 #include "satsurf/reconstruct/plan.h"
+#include "satsurf/rpc/raster.h"
+#include "satsurf/scene/user_images.h"
 
 #include <array>
 #include <filesystem>
@@ -13,12 +15,29 @@ namespace satsurf::app {
 
 /// How mesh.ply is made: of the fused heights of all views, or not at all.
 enum class MeshKind { tsdf, none };
+/// What the heights of dsm.tif are above.
+enum class Geoid { none, egm96, egm2008 };
+/// The same for a raster.
+inline rpc::HeightDatum datum_of(Geoid geoid) {
+  if (geoid == Geoid::egm96) return rpc::HeightDatum::egm96;
+  return geoid == Geoid::egm2008 ? rpc::HeightDatum::egm2008 : rpc::HeightDatum::ellipsoid;
+}
+/// How the run is told to people: as a page, or not at all.
+enum class ReportKind { html, none };
 
 }  // namespace satsurf::app
 
 template <>
 struct satsurf::EnumNames<satsurf::app::MeshKind> {
   static constexpr std::array names{"tsdf", "none"};
+};
+template <>
+struct satsurf::EnumNames<satsurf::app::Geoid> {
+  static constexpr std::array names{"none", "egm96", "egm2008"};
+};
+template <>
+struct satsurf::EnumNames<satsurf::app::ReportKind> {
+  static constexpr std::array names{"html", "none"};
 };
 
 namespace satsurf::app {
@@ -35,21 +54,28 @@ inline Field surface_field() {
 /// What a surface depends on: a run's record repeats it, images included.
 struct ReconstructConfig {
   std::vector<std::filesystem::path> images, image_dirs;
-  std::vector<double> nodata;      ///< values that say nothing, besides those the files declare
-  std::filesystem::path weights;   ///< empty for the shipped ones
-  OptionalPair height_range;       ///< m above the ellipsoid
+  std::vector<double> nodata;     ///< values that say nothing, besides those the files declare
+  std::filesystem::path weights;  ///< empty for the shipped ones
+  OptionalPair height_range;      ///< m above the ellipsoid
+  Index max_views = scene::kMostViews;
   std::string pointing = "shift";  ///< "shift", "off" or a file
   reconstruct::Surface surface = reconstruct::Surface::automatic;
-  double resolution = 0;    ///< m, 0 for the images' own
+  double resolution = 0;  ///< m, 0 for the images' own
+  Geoid geoid = Geoid::none;
   double min_coverage = 0;  ///< share of the common ground that must have a height
   Index max_surfels = 0;    ///< of surfels.ply, 0 for all
   MeshKind mesh = MeshKind::tsdf;
-  double voxel = 0;  ///< of the mesh, m; 0 for two pixels on the ground
+  double voxel = 0;           ///< of the mesh, m; 0 for two pixels on the ground
+  std::vector<double> bbox;   ///< west, south, east, north in degrees; empty for all ground
+  std::filesystem::path aoi;  ///< polygons around the ground wanted; empty for all
+  std::string max_memory;     ///< of the program, e.g. "4GB"; empty for any
+  ReportKind report = ReportKind::html;
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
     v("images", s.images,
-      Field{.help = "rasters or Sat-NeRF JSON files, two or more; all of them here or all in the "
+      Field{.help = "rasters or Sat-NeRF JSON files, two or more, see --max-views; all of them "
+                    "here or all in the "
                     "file of --config",
             .flag = "images",
             .placeholder = "IMG"});
@@ -63,6 +89,12 @@ struct ReconstructConfig {
             .automatic = "what the files declare"});
     v("weights", s.weights,
       Field{.help = "network weights", .automatic = "the shipped ones, or SATSURF_WEIGHTS"});
+    v("max_views", s.max_views,
+      Field{.help = "most images that are used; of more, those that go best together by their "
+                    "common ground, parallax, suns and dates",
+            .min = 2,
+            .max = 16,
+            .flag = "--max-views"});
     v("height_range", s.height_range,
       Field{.help = "heights above the ellipsoid to search",
             .unit = "m",
@@ -83,6 +115,11 @@ struct ReconstructConfig {
             .min = 0.01,
             .max = 1000,
             .automatic = "size of a pixel on the ground"});
+    v("geoid", s.geoid,
+      Field{.help =
+                "heights of dsm.tif above this geoid instead of the ellipsoid, its system then a "
+                "compound one; PROJ has to have its grid (Debian's proj-data: egm96). All else "
+                "stays above the ellipsoid"});
     v("min_coverage", s.min_coverage,
       Field{.help =
                 "share of the images' common ground that must have a height; with less the files "
@@ -104,6 +141,29 @@ struct ReconstructConfig {
             .min = 0.01,
             .max = 1000,
             .automatic = "two pixels on the ground"});
+    v("bbox", s.bbox,
+      Field{.help = "only this part of the ground: west, south, east and north; only what shows it "
+                    "is read",
+            .unit = "deg",
+            .min = -180,
+            .max = 180,
+            .automatic = "all that two images see",
+            .flag = "--bbox",
+            .placeholder = "W,S,E,N"});
+    v("aoi", s.aoi,
+      Field{.help = "only the ground inside the polygons of this vector file, in any reference "
+                    "system (GeoJSON, GeoPackage, shapefile, KML and alike)",
+            .automatic = "all that two images see",
+            .flag = "--aoi"});
+    v("max_memory", s.max_memory,
+      Field{.help = "memory that the program may take, e.g. 4GB: the tiles that large images are "
+                    "worked on in are as large as it allows, and 1280 px at most",
+            .automatic = "tiles of 1280 px",
+            .flag = "--max-memory",
+            .placeholder = "SIZE"});
+    v("report", s.report,
+      Field{.help = "how to tell people of the run: report.html, one page that opens from disk, or "
+                    "not at all"});
   }
 };
 
@@ -111,6 +171,7 @@ struct ReconstructConfig {
 struct ReconstructCommand : ReconstructConfig {
   std::filesystem::path out, config_file;  ///< config_file may be empty
   bool overwrite = false;
+  bool resume = false;   ///< go on with the tiles that a stopped run has left
   bool dry_run = false;  ///< only say what would be done; `out` may be empty
 
   /// Of the options those that are no configuration.
@@ -121,69 +182,87 @@ struct ReconstructCommand : ReconstructConfig {
             .placeholder = "DIR"});
     v("overwrite", s.overwrite,
       Field{.help = "replace what an earlier run left in that folder", .flag = "--overwrite"});
+    v("resume", s.resume,
+      Field{.help = "go on with the tiles of large images that a stopped or killed run has left in "
+                    "OUT.tiles, to the same bytes; the run must be the same",
+            .flag = "--resume"});
     v("dry_run", s.dry_run,
-      Field{.help = "read everything, say ground, cells, tiles and memory, write nothing",
+      Field{.help = "read everything, say ground, cells, tiles, memory and time, write nothing",
             .flag = "--dry-run"});
   }
 };
 
 /// The files in its folder.
 inline std::vector<WrittenFile> written_by_reconstruct() {
-  return {{"dsm.tif",
-           "heights above the WGS84 ellipsoid, m, Float32, UTM, nodata -9999; the grid's corner is "
-           "a whole multiple of its cell; as all rasters here a cloud-optimised GeoTIFF"},
-          {"confidence.tif",
-           "confidence of the surface, 0 to 1, on the same grid, Float32, nodata -9999"},
-          {"height_sigma.tif",
-           "expected error of the heights, m, on the same grid: some four fifths are within it and "
-           "19 in 20 within twice as much; only of a refined surface"},
-          {"views.tif",
-           "how many images see the cell, hidden ones not counted, on the same grid, nodata 255"},
-          {"ortho.tif",
-           "every cell as the steepest image that sees it shows it, on the same grid: the bands "
-           "that the network saw as red, green and blue, or the one of grey images, in the images' "
-           "own 8 or 16 bits; nodata 0, where no image sees the cell"},
-          {"surfels.ply",
-           "the surface as Gaussian surfels in a local metric frame, which the header names"},
-          {"mesh.ply", "the surface as triangles with colours, in the same frame; see --mesh"},
-          {"height.png", "picture of the heights, dark low and bright high"},
-          {"hillshade.png", "picture of the surface lit from the north-west"},
-          {"confidence.png", "picture of the confidence, dark low and bright high"},
-          {"views/NAME_source.png", "every image, as the network sees it"},
-          {"views/NAME_render.png", "the surface rendered into its camera"},
-          {"pointing.json",
-           "how the cameras agree and their shifts, for --pointing; see docs/pointing.md"},
-          {"run.json", "the record of the run"}};
+  return {
+      {"dsm.tif",
+       "heights above the WGS84 ellipsoid or the --geoid, m, Float32, UTM, nodata -9999; the "
+       "grid's corner is "
+       "a whole multiple of its cell; as all rasters here a cloud-optimised GeoTIFF"},
+      {"confidence.tif",
+       "confidence of the surface, 0 to 1, on the same grid, Float32, nodata -9999"},
+      {"height_sigma.tif",
+       "expected error of the heights, m, on the same grid: some four fifths are within it and "
+       "19 in 20 within twice as much; only of a refined surface"},
+      {"views.tif",
+       "how many images see the cell, hidden ones not counted, on the same grid, nodata 255"},
+      {"ortho.tif",
+       "every cell as the steepest image that sees it shows it, on the same grid: the bands "
+       "that the network saw as red, green and blue, or the one of grey images, in the images' "
+       "own 8 or 16 bits; nodata 0, where no image sees the cell"},
+      {"surfels.ply",
+       "the surface as Gaussian surfels in a local metric frame, which the header names"},
+      {"mesh.ply", "the surface as triangles with colours, in the same frame; see --mesh"},
+      {"height.png",
+       "map of the heights above the ellipsoid, dark low and bright high, with a legend below"},
+      {"hillshade.png", "map of the surface lit from the north-west"},
+      {"confidence.png", "map of the confidence, dark low and bright high, with a legend below"},
+      {"*.pgw, *.png.aux.xml", "where these maps lie and in which system, for GIS programs"},
+      {"views/NAME_source.png", "every image, as the network sees it"},
+      {"views/NAME_render.png", "the surface rendered into its camera"},
+      {"pointing.json",
+       "how the cameras agree and their shifts, for --pointing; see docs/pointing.md"},
+      {"report.html",
+       "all of it on one page: maps with legends, the surface to turn with the mouse, inputs, "
+       "residuals, warnings; it needs no network; see --report"},
+      {"run.json", "the record of the run"}};
 }
 
 /// The `results` of its record.
 inline std::vector<WrittenFile> told_by_reconstruct() {
-  return {{"completeness", "share of the cells of the images' common ground that have a height"},
-          {"cells", "rows and columns"},
-          {"resolution", "side of a cell, m"},
-          {"crs", "EPSG code of the UTM zone"},
-          {"vertical_datum", "of the heights"},
-          {"height_range",
-           "lowest and highest height that were asked for or found, m above the "
-           "ellipsoid"},
-          {"height_range_source", "where it came from"},
-          {"height_range_searched", "what was searched of it: less where it was generous"},
-          {"pointing",
-           "applied, verdict, ties, across_before and across_after (px, mean over the tie points), "
-           "largest_shift (px); null with --pointing off"},
-          {"lowest, highest", "of the surface, m above the ellipsoid"},
-          {"mean_confidence", "0 to 1"},
-          {"surfels", "how many"},
-          {"images",
-           "of each image: name, bands, type, rgb_bands (counted from 1), stretch (values that "
-           "became black and white: 0 and 255 of uint8, else the 1st and 99th percentile of the "
-           "valid pixels), border (share that was left out as one)"},
-          {"tiles", "in how many parts the work was done"},
-          {"camera_fit_max_px", "how well the cameras were fitted, px"},
-          {"planned_memory_bytes", "what the plan foresaw"},
-          {"memory_by_part", "of each part of the work: part, bytes, planned_bytes"},
-          {"mesh", "voxel (m), vertices, faces, seconds; null without one"},
-          {"reconstruct_seconds", "how long the surface took without reading and writing"}};
+  return {
+      {"completeness", "share of the cells of the images' common ground that have a height"},
+      {"cells", "rows and columns"},
+      {"resolution", "side of a cell, m"},
+      {"crs", "EPSG code of the UTM zone"},
+      {"vertical_datum", "of the heights in dsm.tif"},
+      {"height_range",
+       "lowest and highest height that were asked for or found, m above the "
+       "ellipsoid"},
+      {"height_range_source", "where it came from"},
+      {"height_range_searched", "what was searched of it: less where it was generous"},
+      {"pointing",
+       "applied, verdict, ties, across_before and across_after (px, mean over the tie points), "
+       "largest_shift (px); null with --pointing off"},
+      {"lowest, highest", "of the surface, m above the ellipsoid"},
+      {"mean_confidence", "0 to 1"},
+      {"surfels", "how many"},
+      {"images",
+       "of each image: name, bands, type, rgb_bands (counted from 1), stretch (values that "
+       "became black and white: 0 and 255 of uint8, else the 1st and 99th percentile of the "
+       "valid pixels), border (share that was left out as one)"},
+      {"left_out", "of each image that was not used: image, why"},
+      {"tiles", "in how many parts the work was done"},
+      {"camera_fit_max_px", "how well the cameras were fitted, px"},
+      {"planned_memory_bytes", "what the plan foresaw"},
+      {"memory_by_part", "of each part of the work: part, bytes, planned_bytes"},
+      {"tile_table",
+       "only of large images and parts of the ground: of each tile row, column, ground (least "
+       "easting, least northing, largest easting, largest northing), status (done, empty: fewer "
+       "than two images see it, failed), seconds, completeness, and of those done "
+       "height_range_searched, window (px) and surfels; of those failed error"},
+      {"mesh", "voxel (m), vertices, faces, seconds; null without one"},
+      {"reconstruct_seconds", "how long the surface took without reading and writing"}};
 }
 
 }  // namespace satsurf::app

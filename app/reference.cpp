@@ -153,7 +153,7 @@ std::string reference(const Program& program) {
   out += "## Warnings of reconstruct\n\n" +
          table({"Code", "Where"}, pairs_of(reconstruct::warning_codes())) +
          "Besides, PART_failed where a part could not be made that the surface can do without: "
-         "orthophoto,\npictures or mesh.\n\n";
+         "orthophoto,\npictures, mesh or report.\n\n";
   out += columns_text();
   out += "## Exit codes\n\n" +
          table({"Code", "Meaning"}, {{"0", "done"},

@@ -2,6 +2,7 @@
 #include "satsurf/app/surface_files.h"
 
 #include "satsurf/app/products.h"
+#include "satsurf/rpc/geoid.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/splat/ply.h"
 #include "satsurf/splat/select.h"
@@ -47,27 +48,42 @@ Tensor chosen_channels(const rpc::Image& image, const rpc::RgbChoice& choice, bo
 
 }  // namespace
 
+SurfaceTags surface_tags(const scene::Scene& scene, rpc::HeightDatum datum) {
+  SurfaceTags tags;
+  tags.heights = with_inputs(rpc::height_tags("Surface heights", datum), scene);
+  tags.confidence.unit = "";
+  tags.confidence.description = "Confidence of the surface, 0 to 1";
+  tags.sigma.description = "Expected error of the heights, m";
+  tags.views.unit = "", tags.views.description = "Number of images that see the cell";
+  tags.views.type = rpc::CellType::uint8, tags.views.nodata = 255, tags.views.means = false;
+  tags.ortho.unit = "";
+  tags.ortho.description = "Orthophoto: each cell from the steepest image that sees it";
+  tags.ortho.type = type_for(scene);
+  if (tags.ortho.type != rpc::CellType::float32)
+    tags.ortho.nodata = 0;  // which most programs take for nothing anyway
+  for (rpc::GeoTags* t : {&tags.confidence, &tags.sigma, &tags.views, &tags.ortho})
+    *t = with_inputs(*t, scene);
+  return tags;
+}
+
+void keep_off_nodata(Tensor& picture, const rpc::GeoTags& tags) {
+  if (tags.type == rpc::CellType::float32) return;
+  for (float& v : picture.values()) v = std::max(v, 1.0F);  // the darkest pixels become 1
+}
+
 void write_surface(const fs::path& folder, const reconstruct::Reconstruction& made,
                    const scene::Scene& scene, const reconstruct::Visibility& visibility,
-                   Index most_surfels) {
+                   Index most_surfels, rpc::HeightDatum datum) {
   const rpc::LocalFrame& frame = scene.frame;
-  write_field(folder / "dsm.tif", made.dsm.z, made.dsm, frame, frame.h0,
-              with_inputs(rpc::ellipsoidal_height("Surface heights"), scene));
-  rpc::GeoTags unitless;
-  unitless.unit = "", unitless.description = "Confidence of the surface, 0 to 1";
-  write_field(folder / "confidence.tif", made.confidence, made.dsm, frame, 0,
-              with_inputs(unitless, scene));
-  rpc::GeoTags counts;
-  counts.unit = "", counts.description = "Number of images that see the cell";
-  counts.type = rpc::CellType::uint8, counts.nodata = 255, counts.means = false;
-  write_field(folder / "views.tif", visibility.views, made.dsm, frame, 0,
-              with_inputs(counts, scene));
-  if (!made.sigma.empty()) {
-    rpc::GeoTags expected;
-    expected.description = "Expected error of the heights, m";
-    write_field(folder / "height_sigma.tif", made.sigma, made.dsm, frame, 0,
-                with_inputs(expected, scene));
-  }
+  const SurfaceTags tags = surface_tags(scene, datum);
+  Tensor heights = made.dsm.z.clone();
+  if (datum != rpc::HeightDatum::ellipsoid)
+    rpc::refer_to_geoid(heights, geo_grid(made.dsm, frame), datum);
+  write_field(folder / "dsm.tif", heights, made.dsm, frame, frame.h0, tags.heights);
+  write_field(folder / "confidence.tif", made.confidence, made.dsm, frame, 0, tags.confidence);
+  write_field(folder / "views.tif", visibility.views, made.dsm, frame, 0, tags.views);
+  if (!made.sigma.empty())
+    write_field(folder / "height_sigma.tif", made.sigma, made.dsm, frame, 0, tags.sigma);
   splat::write_ply(folder / "surfels.ply",
                    most_surfels > 0 ? splat::thinned(made.surfels, most_surfels) : made.surfels,
                    frame_comments(frame));
@@ -84,14 +100,9 @@ void write_ortho(const fs::path& file, const reconstruct::Reconstruction& made,
   });
   if (picture.empty())
     throw Error("ortho: no image sees a cell of the surface, expected images of it");
-  rpc::GeoTags tags;
-  tags.unit = "", tags.description = "Orthophoto: each cell from the steepest image that sees it";
-  tags.type = type_for(scene);
-  if (tags.type != rpc::CellType::float32) {
-    tags.nodata = 0;  // which most programs take for nothing anyway; the darkest pixels become 1
-    for (float& v : picture.values()) v = std::max(v, 1.0F);
-  }
-  write_field(file, picture, made.dsm, scene.frame, 0, with_inputs(std::move(tags), scene));
+  const rpc::GeoTags tags = surface_tags(scene, rpc::HeightDatum::ellipsoid).ortho;
+  keep_off_nodata(picture, tags);
+  write_field(file, picture, made.dsm, scene.frame, 0, tags);
 }
 
 }  // namespace satsurf::app

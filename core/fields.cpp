@@ -2,6 +2,7 @@
 #include "satsurf/core/fields.h"
 
 #include "satsurf/core/error.h"
+#include "satsurf/core/nearest.h"
 
 #include <algorithm>
 #include <charconv>
@@ -218,21 +219,6 @@ std::string expected_text(const FieldRef& field) {
   return text;
 }
 
-std::size_t edit_distance(const std::string& a, const std::string& b) {
-  std::vector<std::size_t> row(b.size() + 1);
-  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
-  for (std::size_t i = 1; i <= a.size(); ++i) {
-    std::size_t diagonal = row[0];
-    row[0] = i;
-    for (std::size_t j = 1; j <= b.size(); ++j) {
-      const std::size_t change = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
-      diagonal = row[j];
-      row[j] = std::min({change, row[j] + 1, row[j - 1] + 1});
-    }
-  }
-  return row.back();
-}
-
 std::string in_quotes(const std::string& text) { return "'" + text + "'"; }
 
 std::string range_text(const FieldRef& field) {
@@ -297,23 +283,10 @@ void detail::refuse_choice(const std::string& name, const std::vector<std::strin
 
 void detail::refuse_unknown(const std::string& name, const std::vector<std::string>& known,
                             const std::string& where) {
-  const auto last_part = [](const std::string& dotted) {
-    return dotted.substr(dotted.rfind('.') + 1);
-  };
-  std::string nearest;
-  std::size_t best = std::numeric_limits<std::size_t>::max();
-  for (const std::string& k : known) {
-    // `--base` for `--model.base` is one slip, not six.
-    const std::size_t d = last_part(k) == name ? 1 : edit_distance(name, k);
-    if (d < best) {
-      best = d;
-      nearest = k;
-    }
-  }
-  const bool near = best <= std::max<std::size_t>(2, name.size() / 3);
+  const std::optional<std::string> meant = nearest(name, known);
   throw ConfigError(where + ": unknown key " + in_quotes(name) +
-                    (near ? ", did you mean " + in_quotes(nearest) + "?"
-                          : ", expected one of " + join(known, ", ")));
+                    (meant ? ", did you mean " + in_quotes(*meant) + "?"
+                           : ", expected one of " + join(known, ", ")));
 }
 
 void detail::assign_field(const FieldRef& field, const std::vector<std::string>& elements,

@@ -1,9 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/memory.h"
 
+#include "satsurf/core/error.h"
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <charconv>
 #include <cstdio>
 #include <fstream>
 #include <limits>
+#include <utility>
 
 namespace satsurf {
 
@@ -21,6 +28,30 @@ std::string memory_text(double bytes) {
   std::snprintf(text, sizeof text, bytes < 1e8 ? "%.0f MB" : "%.1f GB",
                 bytes < 1e8 ? bytes / 1e6 : bytes / 1e9);
   return text;
+}
+
+double memory_from_text(const std::string& text, const std::string& where) {
+  constexpr std::array<std::pair<const char*, double>, 9> kUnits{{{"", 1},
+                                                                  {"b", 1},
+                                                                  {"kb", 1e3},
+                                                                  {"mb", 1e6},
+                                                                  {"gb", 1e9},
+                                                                  {"tb", 1e12},
+                                                                  {"mib", 1048576},
+                                                                  {"gib", 1073741824},
+                                                                  {"tib", 1099511627776}}};
+  double number = 0;
+  const char* end = text.data() + text.size();
+  const auto [rest, error] = std::from_chars(text.data(), end, number);
+  std::string unit;
+  for (const char* c = rest; c != end; ++c)
+    if (*c != ' ') unit += static_cast<char>(std::tolower(static_cast<unsigned char>(*c)));
+  const auto found = std::ranges::find_if(kUnits, [&](const auto& u) { return unit == u.first; });
+  if (error != std::errc() || found == kUnits.end() || !(number * found->second >= 1e6) ||
+      !(number * found->second < 1e18))
+    throw ConfigError(where + ": '" + text +
+                      "', expected a size of memory of 1 MB or more, e.g. 4GB");
+  return number * found->second;
 }
 
 }  // namespace satsurf

@@ -47,11 +47,15 @@ void AdamW::store(TensorFile& file) const {
 }
 
 void AdamW::load(const TensorFile& file, const std::string& where) {
-  const auto take = [&](const std::string& name, Tensor& into) {
+  const auto take = [&](const std::string& name, Tensor& into, bool is_square) {
     const auto it = file.tensors.find(name);
     if (it == file.tensors.end() || it->second.shape() != into.shape())
       throw IoError(where + ": optimiser state " + name +
                     " is missing or of another shape, expected " + into.shape().str());
+    if (!std::ranges::all_of(it->second.values(),
+                             [&](float v) { return std::isfinite(v) && (!is_square || v >= 0); }))
+      throw IoError(where + ": optimiser state " + name + " has a value that is " +
+                    (is_square ? "negative or " : "") + "not finite, expected moments");
     into = it->second.clone();
   };
   const auto steps = file.metadata.find("adam.steps");
@@ -59,12 +63,12 @@ void AdamW::load(const TensorFile& file, const std::string& where) {
     throw IoError(where + ": no optimiser state, expected a training checkpoint");
   for (std::size_t k = 0; k < m_.size(); ++k) {
     const std::string& name = parameters_.entries()[k].name;
-    take("adam.m." + name, m_[k]);
-    take("adam.v." + name, v_[k]);
+    take("adam.m." + name, m_[k], false);
+    take("adam.v." + name, v_[k], true);
   }
   char* end = nullptr;
   steps_ = std::strtol(steps->second.c_str(), &end, 10);
-  if (*end != '\0' || steps_ < 0)
+  if (end == steps->second.c_str() || *end != '\0' || steps_ < 0)
     throw IoError(where + ": adam.steps is '" + steps->second + "', expected a count");
 }
 

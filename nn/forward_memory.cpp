@@ -10,7 +10,7 @@
 namespace satsurf::nn {
 
 std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,
-                                       Index width) {
+                                       Index width, Wanted wanted) {
   const double N = static_cast<double>(views), b = static_cast<double>(config.base),
                v = static_cast<double>(config.volume_base),
                pixels = static_cast<double>(height * width);
@@ -46,18 +46,21 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
     kept += N * p * (D + 3);  // probability, height, two confidences
     // One view's input, once more in parts, and three layers of the head; then all raw attributes,
     // packed surfels and their attributes.
+    const double surfels = N * (kRaw + 2 * kSurfel);
+    if (wanted == Wanted::discs && s == 2) add("discs", kept + surfels);
+    if (wanted != Wanted::surfels) continue;
     const double images = s < 2 ? 3 * N : 0;
-    const double head = 2 * (4 + C + D) + 3 * w + kRaw * (N - 1),
-                 surfels = N * (kRaw + 2 * kSurfel);
+    const double head = 2 * (4 + C + D) + 3 * w + kRaw * (N - 1);
     add("heads" + stage, kept + p * (images + std::max(head, surfels)));
     kept += p * N * kSurfel;
   }
   return parts;
 }
 
-double forward_bytes(const ModelConfig& config, Index views, Index height, Index width) {
+double forward_bytes(const ModelConfig& config, Index views, Index height, Index width,
+                     Wanted wanted) {
   double most = 0;
-  for (const PartMemory& part : forward_memory(config, views, height, width))
+  for (const PartMemory& part : forward_memory(config, views, height, width, wanted))
     most = std::max(most, part.bytes);
   return most;
 }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/config.h"
+#include "satsurf/nn/stage.h"
 
 #include <cstddef>
 #include <string>
@@ -12,7 +13,7 @@ namespace satsurf::nn {
 /// Most bytes in tensors at one time during one part of a forward pass, its results and what
 /// earlier parts left behind included, the scene not.
 struct PartMemory {
-  std::string part;  ///< "features", "volumes 1", "heads 1", "volumes 2", ..
+  std::string part;  ///< "features", "volumes 1", "heads 1", "volumes 2", .., or "discs"
   double bytes = 0;
 };
 
@@ -21,9 +22,10 @@ struct PartMemory {
 /// height, width  of the views, image pixels
 /// returns        the parts in the order of the pass, each within a tenth
 std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,
-                                       Index width);
+                                       Index width, Wanted wanted = Wanted::surfels);
 /// The largest part.
-double forward_bytes(const ModelConfig& config, Index views, Index height, Index width);
+double forward_bytes(const ModelConfig& config, Index views, Index height, Index width,
+                     Wanted wanted = Wanted::surfels);
 
 /// Notes the most tensor bytes of one part after the other, beyond those at its construction.
 class MemoryMeter {

@@ -93,14 +93,12 @@ StageParts<T> make_stage(ParameterSet<T>& p, const ModelConfig& config, std::siz
   return parts;
 }
 
-/// One surfel per pixel, in the local frame.
-template <class T>
-splat::BasicSurfels<T> stage_surfels(const ModelConfig& config, const NetworkInput& scene,
-                                     const StageGrid& grid, const SurfelMaps<T>& maps) {
-  const double z = scene.z_range.middle();
+/// The cameras of a stage's pixels.
+std::vector<PixelGeometry> stage_geometry(const NetworkInput& scene, const StageGrid& grid) {
   std::vector<PixelGeometry> geometry;
-  for (const PosedImage& v : scene.sources) geometry.push_back(pixel_geometry(v, z, grid.stride));
-  return surfels_from_maps(maps, geometry, config.rotation);
+  for (const PosedImage& v : scene.sources)
+    geometry.push_back(pixel_geometry(v, scene.z_range.middle(), grid.stride));
+  return geometry;
 }
 
 /// Those that a stage hands on: its own, and behind them those of the stages before if all are kept.
@@ -190,11 +188,17 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
     in_search = found.in_next_search;
     meter.end("volumes " + std::to_string(s + 1));
     out[s] = {heights, grid.stride, {}, downsampled(features.mono_height, grid.stride)};
-    if (wanted == Wanted::heights) continue;
-
-    // CSRG: what the rendered surface of the stage before says about these heights
+    if (wanted == Wanted::heights || (wanted == Wanted::discs && s < 2)) continue;
     const BasicVar<T> image(downsampled(features.images, grid.stride));
     const BasicVar<T> confidence = head_confidence(config, heights);
+    if (wanted == Wanted::discs) {
+      out[s].surfels = discs_from_maps(heights.height, image.value(), confidence.detach(),
+                                       stage_geometry(scene, grid));
+      meter.end("discs");
+      continue;
+    }
+
+    // CSRG: what the rendered surface of the stage before says about these heights
     BasicVar<T> residual;
     if (part.guidance)
       residual = part.guidance->residual(
@@ -216,7 +220,9 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
     }
     const SurfelMaps<T> maps{concat(std::exchange(raw, {}), 0), heights.height, image.value(),
                              confidence.detach()};
-    out[s].surfels = kept_surfels(config.keep, stage_surfels(config, scene, grid, maps), previous);
+    out[s].surfels = kept_surfels(
+        config.keep, surfels_from_maps(maps, stage_geometry(scene, grid), config.rotation),
+        previous);
     meter.end("heads " + std::to_string(s + 1));
   }
   return out;

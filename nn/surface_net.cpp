@@ -130,9 +130,11 @@ RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
     bool any = false;
     for (Index k = 0; k < kSurfaceCandidates; ++k)
       any = any || std::isfinite(input.candidates[k * P + i]);
-    const double scale = std::clamp(static_cast<double>(out.log_scale.value()[i]), -4.0, 5.0);
     surface.sigma[i] =
-        any ? static_cast<float>(kSigma * input.interval * std::exp(scale)) : std::nanf("");
+        any ? static_cast<float>(
+                  kSigma *
+                  laplace_scale(static_cast<double>(out.log_scale.value()[i]), input.interval))
+            : std::nanf("");
     if (!any) surface.heights[i] = std::nanf("");
   }
   return surface;

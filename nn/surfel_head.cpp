@@ -19,6 +19,8 @@ constexpr double kScaleLow = 0.1, kScaleSpan = 2.9;  // standard deviation in pi
 constexpr double kScaleBias = -1.57;  // sigmoid -> 0.17: 0.6 pixels, neighbours just overlap
 /// 0.73 behind the sigmoid: front surfels dominate, those behind still get gradients.
 constexpr double kOpacityBias = 1.0;
+// Several views cover a place, so that each of them need not be opaque: all are seen, not the first.
+constexpr double kDiscOpacity = -0.5;
 constexpr Index kPacked = 13;  // means 3, quats 4, scales 2, opacity 1, colours 3
 
 double sigmoid_of(double x) {
@@ -193,11 +195,35 @@ splat::BasicSurfels<T> surfels_from_maps(const SurfelMaps<T>& maps,
   return s;
 }
 
+template <class T>
+splat::BasicSurfels<T> discs_from_maps(const BasicVar<T>& height, const BasicTensor<T>& image,
+                                       const BasicVar<T>& confidence,
+                                       const std::vector<PixelGeometry>& geometry) {
+  const Index N = height.value().dim(0), H = height.value().dim(1), W = height.value().dim(2);
+  BasicTensor<T> raw({N, SurfelHead<T>::kOutputs, H, W});
+  for (Index n = 0; n < N; ++n) {
+    T* r = raw.data() + n * SurfelHead<T>::kOutputs * H * W;
+    std::fill_n(r, 2 * H * W, static_cast<T>(kScaleBias));
+    std::fill_n(r + 6 * H * W, H * W, static_cast<T>(kDiscOpacity));
+  }
+  return surfels_from_maps<T>({BasicVar<T>(std::move(raw)), height, image, confidence}, geometry,
+                              Rotation::camera);
+}
+
 template class SurfelHead<float>;
 template class SurfelHead<double>;
 template splat::BasicSurfels<float> surfels_from_maps(const SurfelMaps<float>&,
                                                       const std::vector<PixelGeometry>&, Rotation);
 template splat::BasicSurfels<double> surfels_from_maps(const SurfelMaps<double>&,
                                                        const std::vector<PixelGeometry>&, Rotation);
+
+template splat::BasicSurfels<float> discs_from_maps(const BasicVar<float>&,
+                                                    const BasicTensor<float>&,
+                                                    const BasicVar<float>&,
+                                                    const std::vector<PixelGeometry>&);
+template splat::BasicSurfels<double> discs_from_maps(const BasicVar<double>&,
+                                                     const BasicTensor<double>&,
+                                                     const BasicVar<double>&,
+                                                     const std::vector<PixelGeometry>&);
 
 }  // namespace satsurf::nn

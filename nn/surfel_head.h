@@ -70,4 +70,15 @@ splat::BasicSurfels<T> surfels_from_maps(const SurfelMaps<T>& maps,
                                          const std::vector<PixelGeometry>& geometry,
                                          Rotation rotation);
 
+/// Surfels that need no head: discs of 0.6 pixels that face the camera, in the image's colours, of
+/// opacity 0.38, since every place has those of several views.
+/// height, image, confidence  as in `SurfelMaps`
+/// geometry                   N cameras at this resolution
+/// returns                    N*H*W surfels in the local frame
+/// throws                     ShapeError
+template <class T>
+splat::BasicSurfels<T> discs_from_maps(const BasicVar<T>& height, const BasicTensor<T>& image,
+                                       const BasicVar<T>& confidence,
+                                       const std::vector<PixelGeometry>& geometry);
+
 }  // namespace satsurf::nn

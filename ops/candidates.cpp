@@ -52,7 +52,7 @@ Size size_of(Dims& dim, const BasicVar<T>& logits, const BasicTensor<T>& candida
   return {dim["K"], dim["H"] * dim["W"]};
 }
 
-/// The limits of a scale's logarithm: a hundredth of a unit, and a hundred and fifty.
+/// The logarithm of a scale, within its limits.
 double limited(double log_scale) { return std::clamp(log_scale, -4.0, 5.0); }
 
 /// The target of a cell's weights; none where no candidate is near the truth.
@@ -75,6 +75,8 @@ Weights target_of(const T* candidates, Index K, Index P, double truth, double un
 }
 
 }  // namespace
+
+double laplace_scale(double log_scale, double unit) { return unit * std::exp(limited(log_scale)); }
 
 template <class T>
 BasicVar<T> chosen_height(const BasicVar<T>& logits, const BasicVar<T>& residual,

@@ -21,9 +21,13 @@ template <class T>
 BasicVar<T> chosen_height(const BasicVar<T>& logits, const BasicVar<T>& residual,
                           const BasicTensor<T>& candidates, double reach);
 
+/// The mean error b that a number s tells of: unit exp(s), with s limited to [-4, 5], a fiftieth of a
+/// unit to a hundred and fifty.
+double laplace_scale(double log_scale, double unit);
+
 /// Weighted mean of the negative log-likelihood of the truth under Laplace distributions,
-///   |h - t| / b + log(2 b),  b = unit exp(s),
-/// the one that teaches a height and its own mean error b at once. s is limited to [-4, 5].
+///   |h - t| / b + log(2 b),  b as `laplace_scale`,
+/// the one that teaches a height and its own mean error b at once.
 /// height, log_scale  [H W] h in m, s
 /// truth              [H W] m; may be anything where the weight is 0
 /// weight             [H W]

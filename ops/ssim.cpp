@@ -5,6 +5,7 @@
 #include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/ssim_kernels.h"
+#include "satsurf/ops/weighted_sum.h"
 
 #include <algorithm>
 #include <array>
@@ -108,15 +109,6 @@ struct Planes {
   }
 };
 
-struct Sums {
-  double similar = 0, pixels = 0;
-  Sums& operator+=(const Sums& o) {
-    similar += o.similar;
-    pixels += o.pixels;
-    return *this;
-  }
-};
-
 }  // namespace
 
 template <class T>
@@ -132,9 +124,9 @@ BasicVar<T> ssim(const BasicVar<T>& x, const BasicTensor<T>& reference, SsimKind
     for (auto& s : slopes) s = BasicTensor<T>::uninitialised({at.planes, at.map_H, at.map_W});
 
   const BasicTensor<T> seen = at.masked(x.value()), expected = at.masked(reference);
-  const Sums sums =
-      ordered_reduce(at.planes * at.map_H, kRows, Sums{}, [&](Index begin, Index end) {
-        Sums of_piece;
+  const WeightedSum sums =
+      ordered_reduce(at.planes * at.map_H, kRows, WeightedSum{}, [&](Index begin, Index end) {
+        WeightedSum of_piece;
         const std::array<T*, 5> filtered = padded_rows<T>(at.W);
         std::array<const T*, 5> inner{};
         for (std::size_t k = 0; k < 5; ++k) inner[k] = filtered[k] + at.left;
@@ -153,8 +145,8 @@ BasicVar<T> ssim(const BasicVar<T>& x, const BasicTensor<T>& reference, SsimKind
         }
         return of_piece;
       });
-  const double pixels = sums.pixels;
-  const auto out = BasicTensor<T>::scalar(static_cast<T>(pixels > 0 ? sums.similar / pixels : 1));
+  const double pixels = sums.weight;
+  const auto out = BasicTensor<T>::scalar(static_cast<T>(pixels > 0 ? sums.sum / pixels : 1));
 
   return BasicVar<T>::record("ssim", out, {x}, [=](Node<T>& n) {
     T* dx = n.grad_in(0);

@@ -14,8 +14,7 @@
 namespace satsurf::reconstruct {
 namespace {
 
-constexpr Index kWholeImage = 1280;  // px; larger images are cut into tiles
-constexpr Index kTile = 768;         // px; keeps the largest volume near 0.3 GB
+constexpr Index kTile = 768;  // px; keeps the largest volume near 0.3 GB
 
 /// The corners, the middles of the sides and the middle of an image.
 std::array<rpc::Pixel, 9> outline(const scene::View& v) {
@@ -54,9 +53,10 @@ Ground common_ground(const scene::Scene& scene, double z, F&& sees) {
   return common;
 }
 
-/// What at least two views show at one height; where no pixels are valid, what two would.
-/// throws  Error if there is no such ground
-Ground common_ground(const scene::Scene& scene, double z) {
+}  // namespace
+
+Ground common_ground(const scene::Scene& scene) {
+  const double z = scene.z_range.middle();
   Ground common = common_ground(scene, z, [&](const auto& p) { return views_showing(scene, p); });
   if (!(common.width() > 0))
     common = common_ground(scene, z, [&](const auto& p) {
@@ -68,6 +68,20 @@ Ground common_ground(const scene::Scene& scene, double z) {
     throw Error("no two images see the same ground, expected overlapping views");
   return common;
 }
+
+Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step) {
+  Grid grid;
+  grid.step = step;
+  grid.east = std::floor((ground.x0 + frame.easting0) / step) * step - frame.easting0;
+  grid.north = std::ceil((ground.y1 + frame.northing0) / step) * step - frame.northing0;
+  grid.width = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - grid.east) / step)));
+  grid.height = std::max<Index>(1, static_cast<Index>(std::ceil((grid.north - ground.y0) / step)));
+  return grid;
+}
+
+double natural_step(double footprint) { return std::round(footprint * 20) / 20; }
+
+namespace {
 
 /// Side of the largest ground square that every view's window holds for every height of the range.
 /// window   side of the windows, px
@@ -99,16 +113,9 @@ std::vector<Ground> tiles_of(const Ground& ground, double side) {
   return tiles;
 }
 
-/// What a reconstruction takes of the memory.
-struct Memory {
-  double bytes;                       ///< of the whole program at most
-  std::vector<nn::PartMemory> parts;  ///< see ReconstructPlan
-};
+}  // namespace
 
-/// What the program needs at most: while the network looks at the last window, while the surface is
-/// made, or while a mesh is made of it.
-Memory plan_memory(const ReconstructPlan& plan, const nn::ModelConfig& model,
-                   const scene::Scene& scene, Surface surface) {
+WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surface surface) {
   constexpr double kProgram = 150e6;              // code, libraries and weights
   constexpr double kKept = 1.2;                   // tensors, with freed ones that wait for reuse
   constexpr double kView = 4, kSurfel = 14;       // floats a pixel, floats a surfel
@@ -117,30 +124,26 @@ Memory plan_memory(const ReconstructPlan& plan, const nn::ModelConfig& model,
   constexpr double kFuse = 18, kFused = 5;        // floats a surfel, floats a cell, to fuse
   constexpr double kRefine = 18, kRefined = 150;  // alike, to refine
   constexpr double kHeights = 9, kMesh = 110;     // floats a pixel, floats a column of voxels
-  const Index views = static_cast<Index>(scene.views.size());
-  const double window = static_cast<double>(plan.window) * static_cast<double>(plan.window) *
+  const Index views = size.views;
+  const double pixels = size.pixels, cells = size.cells;
+  const double window = static_cast<double>(size.window) * static_cast<double>(size.window) *
                         static_cast<double>(views);
-  double pixels = 0;
-  for (const scene::View& v : scene.views) pixels += static_cast<double>(v.valid.count());
-  const double cells = static_cast<double>(plan.height) * static_cast<double>(plan.width);
-  std::vector<nn::PartMemory> parts = nn::forward_memory(model, views, plan.window, plan.window);
+  const nn::Wanted wanted = wanted_of(surface);
+  std::vector<nn::PartMemory> parts =
+      nn::forward_memory(model, views, size.window, size.window, wanted);
   const double network =
-      nn::forward_bytes(model, views, plan.window, plan.window) +
+      nn::forward_bytes(model, views, size.window, size.window, wanted) +
       sizeof(float) * (kView * window + kSurfel * (pixels - std::min(pixels, window)));
   const double render =
       sizeof(float) * (surface == Surface::splat     ? kSplat * pixels + kMaps * cells
                        : surface == Surface::refined ? kRefine * pixels + kRefined * cells
                                                      : kFuse * pixels + kFused * cells);
   parts.push_back({"surface", render});
-  const double columns =
-                   plan.voxel > 0 ? cells * plan.step * plan.step / (plan.voxel * plan.voxel) : 0,
-               mesh = columns > 0 ? (kSurfel + kHeights) * pixels + kMesh * columns : 0;
+  const double mesh = size.columns > 0 ? (kSurfel + kHeights) * pixels + kMesh * size.columns : 0;
   const double most =
       std::max({network, render + sizeof(float) * kLists * pixels, sizeof(float) * mesh});
   return {kProgram + kKept * (sizeof(float) * kView * pixels + most), std::move(parts)};
 }
-
-}  // namespace
 
 Surface surface_kind(const ReconstructOptions& options) {
   if (options.surface == Surface::automatic)
@@ -150,11 +153,15 @@ Surface surface_kind(const ReconstructOptions& options) {
   return options.surface;
 }
 
+nn::Wanted wanted_of(Surface surface) {
+  return surface == Surface::refined ? nn::Wanted::discs : nn::Wanted::surfels;
+}
+
 ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,
                                     const ReconstructOptions& options) {
   const double z = scene.z_range.middle();
   ReconstructPlan plan;
-  plan.ground = common_ground(scene, z);
+  plan.ground = options.grid ? options.grid->ground() : common_ground(scene);
   const Ground& ground = plan.ground;
   const std::array<double, 3> middle{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
                                      z};
@@ -169,24 +176,26 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   }
 
   const Index multiple = nn::size_multiple(model);
-  plan.whole_images = options.tile == 0 && largest <= kWholeImage;
+  plan.whole_images = !options.grid && options.tile == 0 && largest <= kWholeImage;
   const Index side = plan.whole_images ? largest : options.tile > 0 ? options.tile : kTile;
   plan.window = (side + multiple - 1) / multiple * multiple;
-  plan.tiles = plan.whole_images
+  plan.tiles = plan.whole_images || options.grid
                    ? std::vector<Ground>{ground}
                    : tiles_of(ground, tile_side(plan.window, cameras, scene.z_range.span()));
 
-  // The grid starts at a whole multiple of its step, so that runs over one place share their cells.
-  const double step = options.resolution > 0 ? options.resolution : std::round(footprint * 20) / 20;
-  plan.step = step;
+  const double step = options.resolution > 0 ? options.resolution : natural_step(footprint);
+  const Grid grid = options.grid.value_or(grid_of(ground, scene.frame, step));
+  plan.east = grid.east, plan.north = grid.north, plan.step = grid.step;
+  plan.height = grid.height, plan.width = grid.width;
   if (options.mesh)
     plan.voxel =
         *options.mesh > 0 ? *options.mesh : std::max(0.05, std::round(40 * footprint) / 20);
-  plan.east = std::floor((ground.x0 + scene.frame.easting0) / step) * step - scene.frame.easting0;
-  plan.north = std::ceil((ground.y1 + scene.frame.northing0) / step) * step - scene.frame.northing0;
-  plan.width = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - plan.east) / step)));
-  plan.height = std::max<Index>(1, static_cast<Index>(std::ceil((plan.north - ground.y0) / step)));
-  Memory memory = plan_memory(plan, model, scene, surface_kind(options));
+  WorkSize size{.views = static_cast<Index>(scene.views.size()),
+                .window = plan.window,
+                .cells = static_cast<double>(plan.height) * static_cast<double>(plan.width)};
+  for (const scene::View& v : scene.views) size.pixels += static_cast<double>(v.valid.count());
+  if (plan.voxel > 0) size.columns = size.cells * plan.step * plan.step / (plan.voxel * plan.voxel);
+  WorkMemory memory = work_memory(model, size, surface_kind(options));
   plan.memory_bytes = memory.bytes;
   plan.memory = std::move(memory.parts);
   return plan;

@@ -3,7 +3,9 @@
 
 #include "satsurf/core/fields.h"
 #include "satsurf/nn/forward_memory.h"
+#include "satsurf/nn/stage.h"
 #include "satsurf/nn/surface_net.h"
+#include "satsurf/scene/ground.h"
 #include "satsurf/scene/scene.h"
 
 #include <array>
@@ -31,6 +33,23 @@ struct satsurf::EnumNames<satsurf::reconstruct::Surface> {
 
 namespace satsurf::reconstruct {
 
+using scene::Ground;
+
+/// The cells of a surface.
+struct Grid {
+  double east = 0, north = 0;  ///< upper-left corner, local m
+  double step = 0;             ///< side of a cell, m
+  Index height = 0, width = 0;
+
+  Ground ground() const {
+    return {east, north - static_cast<double>(height) * step,
+            east + static_cast<double>(width) * step, north};
+  }
+};
+
+/// Largest side of an image that goes through the network as a whole, px.
+inline constexpr Index kWholeImage = 1280;
+
 /// How a surface is made.
 struct ReconstructOptions {
   Surface surface = Surface::automatic;
@@ -38,6 +57,9 @@ struct ReconstructOptions {
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;
+  /// The cells to make, in one window; none: those of the views' common ground.
+  std::optional<Grid> grid;
+  bool narrow = true;  ///< look for a narrower range of heights first, see `narrowed_range`
   /// Voxel of the mesh that will be made of it, m, 0 for two ground pixels; none without a mesh.
   std::optional<double> mesh;
   /// Is told how far each stage has come, often, and also before the first. May be empty. To
@@ -49,15 +71,9 @@ struct ReconstructOptions {
 /// throws  ConfigError for `refined` without a network
 Surface surface_kind(const ReconstructOptions& options);
 
-/// A rectangle of ground, local m.
-struct Ground {
-  double x0 = 0, y0 = 0, x1 = 0, y1 = 0;
-  double width() const { return x1 - x0; }
-  double height() const { return y1 - y0; }
-  /// Whether a point lies in it or on its western or southern edge, so that it is in one of two
-  /// neighbours.
-  bool contains(double x, double y) const { return x >= x0 && x < x1 && y >= y0 && y < y1; }
-};
+/// What the network is asked for. Surfels that are cast onto a refined surface are where no head saw
+/// them: what it would have said of them no longer holds.
+nn::Wanted wanted_of(Surface surface);
 
 /// What `reconstruct` is going to do.
 struct ReconstructPlan {
@@ -73,6 +89,29 @@ struct ReconstructPlan {
   /// Tensors of the network's parts, then of "surface", each within a tenth.
   std::vector<nn::PartMemory> memory;
 };
+/// What a reconstruction's memory depends on.
+struct WorkSize {
+  Index views = 0, window = 0;  ///< images, and the side of what the network sees of each, px
+  double pixels = 0;            ///< of all images together
+  double cells = 0;             ///< of the surface
+  double columns = 0;           ///< of the mesh's voxels, 0 without one
+};
+/// What a reconstruction takes of the memory.
+struct WorkMemory {
+  double bytes = 0;                   ///< of the whole program at most
+  std::vector<nn::PartMemory> parts;  ///< see ReconstructPlan
+};
+WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surface surface);
+
+/// What at least two views show in the middle of the range of heights, to a hundredth of its side.
+/// throws  Error if there is no such ground
+Ground common_ground(const scene::Scene& scene);
+/// The cells of a ground: they start at a whole multiple of their side, so that runs over one place
+/// share them.
+Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step);
+/// The side of a cell that suits pixels of this size on the ground, m.
+double natural_step(double footprint);
+
 /// Sizes and memory of a reconstruction, before it begins.
 /// throws  Error if fewer than two views see a common ground
 ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,

@@ -149,6 +149,7 @@ void keep_surface(Reconstruction& out, FusedSurface surface, const scene::Scene&
 scene::Scene narrowed(const nn::Model& model, const scene::Scene& scene,
                       const ReconstructOptions& options) {
   scene::Scene out = scene;
+  if (!options.narrow) return out;
   out.z_range = narrowed_range(model, scene, [&] {
     if (options.progress) options.progress("network", 0);
   });
@@ -158,16 +159,20 @@ scene::Scene narrowed(const nn::Model& model, const scene::Scene& scene,
 /// The surfels of all tiles, and what fusing them needs.
 struct Gathered {
   splat::Surfels surfels;
-  Tensor confidence;  ///< [P]
-  Evidence evidence;  ///< empty for a splatted surface
+  Tensor confidence;        ///< [P]
+  SurfelEvidence evidence;  ///< empty, as is the grid, for a splatted surface
+  FusionGrid grid;
 };
 
 /// Runs the network over the tiles.
-/// out  takes what is known of the images and the work
+/// surface  that will be made of the surfels, not automatic
+/// out      takes what is known of the images and the work
 Gathered gather(const nn::Model& model, const scene::Scene& scene, const ReconstructPlan& plan,
-                const ReconstructOptions& options, Reconstruction& out) {
+                Surface surface, const ReconstructOptions& options, Reconstruction& out) {
   std::vector<splat::Surfels> parts;
   Gathered all;
+  Evidence evidence;
+  const bool weighed = surface != Surface::splat;
   for (std::size_t t = 0; t < plan.tiles.size(); ++t) {
     const auto poll = [&] {
       if (options.progress)
@@ -178,7 +183,7 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
     const scene::Crop crop = window_of(scene, plan, plan.tiles[t]);
     out.camera_fit_max_px = std::max(out.camera_fit_max_px, worst_fit(crop.input));
     std::vector<nn::PartMemory> memory;
-    const auto stages = model.forward(crop.input, poll, &memory);
+    const auto stages = model.forward(crop.input, poll, &memory, wanted_of(surface));
     keep_most(out.memory, memory);
     poll();
     const auto tile = plan.tiles.size() > 1 ? std::optional(plan.tiles[t]) : std::nullopt;
@@ -186,7 +191,7 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
     const std::vector<Index> keep =
         trusted_surfels(crop.input, surfels.means.value(), stages[2].height.value(), tile);
     parts.push_back(splat::selected(surfels, keep));
-    if (surface_kind(options) != Surface::splat) all.evidence.add(crop.input, stages[2], keep);
+    if (weighed) evidence.add(crop.input, stages[2], keep);
     if (t + 1 == plan.tiles.size()) out.images = whole_images(scene, plan, crop);
   }
   out.frame = scene.frame;
@@ -195,15 +200,15 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
   out.voxel = plan.voxel;
   out.planned_memory_bytes = plan.memory_bytes;
   out.planned_memory = plan.memory;
+  if (weighed) all.evidence = evidence.all(), all.grid = evidence.grid(plan);
   all.surfels = splat::joined(parts);
   all.confidence = first_channel(all.surfels.aux.value(), {all.surfels.means.value().dim(0)});
   return all;
 }
 
-nn::SurfaceInput input_of(const Gathered& all, const ReconstructPlan& plan,
-                          const Reconstruction& made) {
-  return surface_input(all.surfels.means.value(), all.confidence, all.evidence.all(),
-                       all.evidence.grid(plan), made.images);
+nn::SurfaceInput input_of(const Gathered& all, const Reconstruction& made) {
+  return surface_input(all.surfels.means.value(), all.confidence, all.evidence, all.grid,
+                       made.images);
 }
 
 /// The surface as the network makes it, where two images or more show it. Its confidence is that of
@@ -235,7 +240,7 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
   const ReconstructPlan plan = plan_reconstruction(model.config(), scene, options);
   check_memory(plan, scene);
   Reconstruction out;
-  Gathered all = gather(model, scene, plan, options, out);
+  Gathered all = gather(model, scene, plan, surface_kind(options), options, out);
   const auto report = [&](double fraction) {
     if (options.progress) options.progress("surface", fraction);
   };
@@ -246,11 +251,10 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
   FusedSurface surface;
   switch (surface_kind(options)) {
     case Surface::refined:
-      surface = refined(*options.network, input_of(all, plan, out), out.sigma);
+      surface = refined(*options.network, input_of(all, out), out.sigma);
       break;
     case Surface::plain:
-      surface = fuse_surfels(all.surfels.means.value(), all.confidence, all.evidence.all(),
-                             all.evidence.grid(plan));
+      surface = fuse_surfels(all.surfels.means.value(), all.confidence, all.evidence, all.grid);
       all.surfels = splat::selected(all.surfels, surface.kept);
       break;
     default:
@@ -261,7 +265,7 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
   raise_peak_tensor_bytes(earlier);
   report(1);
   keep_surface(out, std::move(surface), scene, plan);
-  if (!out.sigma.empty()) out.surfels = cast_on(out.surfels, all.evidence.all().rays, out.dsm);
+  if (!out.sigma.empty()) out.surfels = cast_on(out.surfels, all.evidence.rays, out.dsm);
   return out;
 }
 
@@ -274,8 +278,8 @@ UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& w
   const ReconstructPlan plan = plan_reconstruction(model.config(), scene, how);
   check_memory(plan, scene);
   Reconstruction made;
-  const Gathered all = gather(model, scene, plan, how, made);
-  return {input_of(all, plan, made), plan.east, plan.north, plan.step};
+  const Gathered all = gather(model, scene, plan, Surface::refined, how, made);
+  return {input_of(all, made), plan.east, plan.north, plan.step};
 }
 
 }  // namespace satsurf::reconstruct

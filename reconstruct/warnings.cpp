@@ -2,14 +2,12 @@
 #include "satsurf/reconstruct/warnings.h"
 
 #include "satsurf/rpc/fit.h"
+#include "satsurf/scene/view_pair.h"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
-#include <limits>
-#include <numbers>
 #include <optional>
 
 namespace satsurf::reconstruct {
@@ -31,38 +29,6 @@ std::string text_of(const char* format, Args... args) {
   std::array<char, 400> text{};
   std::snprintf(text.data(), text.size(), format, args...);
   return text.data();
-}
-
-/// Degrees between two directions to the sun; nothing where a view does not say where it stood.
-std::optional<double> suns_apart(const scene::View& a, const scene::View& b) {
-  const auto direction = [](const scene::View& v) -> std::array<double, 3> {
-    constexpr double kRadians = std::numbers::pi / 180;
-    const double up = v.sun_elevation_deg * kRadians, from_north = v.sun_azimuth_deg * kRadians;
-    return {std::cos(up) * std::sin(from_north), std::cos(up) * std::cos(from_north), std::sin(up)};
-  };
-  for (const scene::View* v : {&a, &b})
-    if (v->sun_elevation_deg == 0 && v->sun_azimuth_deg == 0) return std::nullopt;
-  const auto p = direction(a), q = direction(b);
-  const double cosine = p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
-  return std::acos(std::clamp(cosine, -1.0, 1.0)) * 180 / std::numbers::pi;
-}
-
-/// Days since the year 0 of a date that begins with year, month and day, with or without marks
-/// between; nothing for others. Months count as 30.4 days, which is enough here.
-std::optional<double> day_of(const std::string& date) {
-  std::string digits;
-  for (const char c : date)
-    if (c >= '0' && c <= '9')
-      digits += c;
-    else if (c != '-' && c != '/' && c != ':')
-      break;
-  if (digits.size() < 8) return std::nullopt;
-  const int year = std::atoi(digits.substr(0, 4).c_str()),
-            month = std::atoi(digits.substr(4, 2).c_str()),
-            day = std::atoi(digits.substr(6, 2).c_str());
-  if (year < 1970 || year > 2100 || month < 1 || month > 12 || day < 1 || day > 31)
-    return std::nullopt;
-  return 365.25 * year + 30.4 * (month - 1) + day;
 }
 
 /// A number of a pair of views, and which they are.
@@ -138,7 +104,7 @@ std::vector<Warning> scene_warnings(const scene::Scene& scene) {
                            base->first.a->name.c_str(), base->first.b->name.c_str(),
                            base->first.value, kLargestBase)});
   const auto suns = extremes(scene.views, [&](std::size_t i, std::size_t j) {
-    return suns_apart(scene.views[i], scene.views[j]);
+    return scene::suns_apart(scene.views[i], scene.views[j]);
   });
   if (suns && suns->second.value > kSunsApart)
     out.push_back({"suns_apart", text_of("the sun of %s and %s is %.0f degrees apart, shadows lie "
@@ -146,8 +112,7 @@ std::vector<Warning> scene_warnings(const scene::Scene& scene) {
                                          suns->second.a->name.c_str(), suns->second.b->name.c_str(),
                                          suns->second.value, kSunsApart)});
   const auto days = extremes(scene.views, [&](std::size_t i, std::size_t j) {
-    const auto a = day_of(scene.views[i].date), b = day_of(scene.views[j].date);
-    return a && b ? std::optional(std::abs(*a - *b)) : std::nullopt;
+    return scene::days_apart(scene.views[i], scene.views[j]);
   });
   if (days && days->second.value > kDaysApart)
     out.push_back(
@@ -158,10 +123,10 @@ std::vector<Warning> scene_warnings(const scene::Scene& scene) {
   return out;
 }
 
-std::vector<Warning> surface_warnings(const Reconstruction& made, const scene::Scene& scene) {
+std::vector<Warning> surface_warnings(const Reconstruction& made) {
   std::vector<Warning> out;
-  const rpc::HeightRange range = scene.frame.heights_from_z(scene.z_range);
-  const auto ends = share_at_ends(made.dsm.z, scene.z_range);
+  const rpc::HeightRange range = made.frame.heights_from_z(made.z_range);
+  const auto ends = share_at_ends(made.dsm.z, made.z_range);
   for (const std::size_t end : {std::size_t{0}, std::size_t{1}})
     if (ends[end] > kPiledUp)
       out.push_back(

@@ -21,8 +21,7 @@ std::vector<Warning> scene_warnings(const scene::Scene& scene);
 
 /// What the surface lets fear: heights piled up at an end of the range that was searched, low
 /// confidence, large gaps, cameras that their quadratics do not follow.
-/// scene  that the surface was made of
-std::vector<Warning> surface_warnings(const Reconstruction& made, const scene::Scene& scene);
+std::vector<Warning> surface_warnings(const Reconstruction& made);
 
 /// Every code with what it stands for and from which number on.
 std::vector<std::pair<std::string, std::string>> warning_codes();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-// For rpc/read*.cpp and rpc/raster*.cpp only: no public header names GDAL.
+// For rpc/read*.cpp, rpc/raster*.cpp and rpc/geoid.cpp only: no public header names GDAL.
 
 #include "satsurf/core/error.h"
 #include "satsurf/core/files.h"

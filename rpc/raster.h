@@ -6,6 +6,7 @@
 
 #include <filesystem>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -64,6 +65,34 @@ GeoTags ellipsoidal_height(const std::string& description);
 /// throws  IoError; ShapeError; Error for a system GDAL does not know
 void write_geo_raster(const std::filesystem::path& path, const Tensor& values, const GeoGrid& grid,
                       const GeoTags& tags = {});
+
+/// A raster too large for the memory, written from its first row to its last: the same file as of
+/// `write_geo_raster`. The rows so far lie in a file beside it, which goes with this object.
+class GeoRasterRows {
+ public:
+  /// height, width  cells of the whole raster
+  /// throws         IoError; Error for a system GDAL does not know
+  GeoRasterRows(std::filesystem::path path, Index bands, Index height, Index width,
+                const GeoGrid& grid, GeoTags tags);
+  ~GeoRasterRows();
+  GeoRasterRows(const GeoRasterRows&) = delete;
+  GeoRasterRows& operator=(const GeoRasterRows&) = delete;
+
+  /// Writes the next rows, NaN where nothing is known.
+  /// values  [h W] or [C h W]
+  /// throws  IoError, ShapeError
+  void append(const Tensor& values);
+  /// Makes the raster of its rows, with overviews.
+  /// throws  IoError; Error where rows are missing
+  void finish();
+
+ private:
+  struct File;
+  std::filesystem::path path_, rows_;
+  Index bands_, height_, width_, next_ = 0;
+  GeoTags tags_;
+  std::unique_ptr<File> file_;
+};
 
 /// A raster on the ground.
 struct GeoRaster {

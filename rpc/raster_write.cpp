@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/atomic_file.h"
+#include "satsurf/rpc/crs.h"
 #include "satsurf/rpc/gdal.h"
 #include "satsurf/rpc/raster.h"
 
@@ -9,6 +10,8 @@
 #include <cstdint>
 #include <cstdio>
 #include <limits>
+#include <memory>
+#include <utility>
 
 #include <cpl_vsi.h>
 #include <ogr_spatialref.h>
@@ -24,6 +27,16 @@ std::string digits(double value) {
   return text;
 }
 
+[[noreturn]] void refuse(const fs::path& path) {
+  throw IoError(path.string() + ": the GeoTIFF cannot be made; " + gdal_error());
+}
+
+GDALDriver& driver_of_name(const fs::path& path, const char* name) {
+  GDALDriver* found = GetGDALDriverManager()->GetDriverByName(name);
+  if (!found) throw IoError(path.string() + ": this GDAL has no driver " + name + ", expected one");
+  return *found;
+}
+
 /// A raster that is built in memory and leaves it as a finished file, so that the disk never sees a
 /// part of one.
 class MemoryRaster {
@@ -36,8 +49,9 @@ class MemoryRaster {
     name_ = "/vsimem/satsurf_" + std::to_string(count++) + ".tif";
     CPLStringList list;
     for (const char* o : options) list.AddString(o);
-    dataset_.reset(of_name(driver).Create(name_.c_str(), size[0], size[1], size[2], type, list));
-    if (!dataset_) fail();
+    dataset_.reset(
+        driver_of_name(path, driver).Create(name_.c_str(), size[0], size[1], size[2], type, list));
+    if (!dataset_) refuse(path);
   }
   ~MemoryRaster() {
     dataset_.reset();
@@ -47,40 +61,32 @@ class MemoryRaster {
   MemoryRaster& operator=(const MemoryRaster&) = delete;
 
   GDALDataset* operator->() { return dataset_.get(); }
+  GDALDataset& operator*() { return *dataset_; }
   void check(CPLErr result) const {
-    if (result != CE_None) fail();
+    if (result != CE_None) refuse(path_);
   }
   /// Makes another format of it, which takes its place.
   void convert(const char* driver, const std::vector<const char*>& options) {
     CPLStringList list;
     for (const char* o : options) list.AddString(o);
-    DatasetPtr other(
-        of_name(driver).CreateCopy(name_.c_str(), dataset_.get(), FALSE, list, nullptr, nullptr));
-    if (!other) fail();
+    DatasetPtr other(driver_of_name(path_, driver)
+                         .CreateCopy(name_.c_str(), dataset_.get(), FALSE, list, nullptr, nullptr));
+    if (!other) refuse(path_);
     dataset_ = std::move(other);
   }
   /// Finishes the file and puts it in its place.
   void save() {
     CPLErrorReset();
     dataset_.reset();
-    if (CPLGetLastErrorType() >= CE_Failure) fail();
+    if (CPLGetLastErrorType() >= CE_Failure) refuse(path_);
     vsi_l_offset size = 0;
     const auto* bytes = VSIGetMemFileBuffer(name_.c_str(), &size, FALSE);
-    if (!bytes) fail();
+    if (!bytes) refuse(path_);
     atomic_write(path_, std::string_view(reinterpret_cast<const char*>(bytes),
                                          static_cast<std::size_t>(size)));
   }
 
  private:
-  GDALDriver& of_name(const char* driver) const {
-    GDALDriver* found = GetGDALDriverManager()->GetDriverByName(driver);
-    if (!found)
-      throw IoError(path_.string() + ": this GDAL has no driver " + driver + ", expected one");
-    return *found;
-  }
-  [[noreturn]] void fail() const {
-    throw IoError(path_.string() + ": the GeoTIFF cannot be made; " + gdal_error());
-  }
   fs::path path_;
   std::string name_;
   DatasetPtr dataset_;
@@ -122,18 +128,6 @@ OGRSpatialReference system_of(int epsg, HeightDatum heights) {
   return both;
 }
 
-void describe(MemoryRaster& raster, const GeoTags& tags) {
-  raster.check(raster->SetMetadataItem("AREA_OR_POINT", "Area"));
-  if (!tags.description.empty())
-    raster.check(raster->SetMetadataItem("TIFFTAG_IMAGEDESCRIPTION", tags.description.c_str()));
-  if (!tags.software.empty())
-    raster.check(raster->SetMetadataItem("TIFFTAG_SOFTWARE", tags.software.c_str()));
-  if (tags.heights != HeightDatum::none)
-    raster.check(raster->SetMetadataItem("VERTICAL_DATUM", datum_text(tags.heights)));
-  for (const auto& [key, value] : tags.metadata)
-    raster.check(raster->SetMetadataItem(key.c_str(), value.c_str()));
-}
-
 GDALDataType gdal_type(CellType type) {
   if (type == CellType::uint8) return GDT_Byte;
   return type == CellType::uint16 ? GDT_UInt16 : GDT_Float32;
@@ -144,6 +138,68 @@ float stored(float v, CellType type, double nodata) {
   if (!std::isfinite(v)) return static_cast<float>(nodata);
   if (type == CellType::float32) return v;
   return std::round(std::clamp(v, 0.0F, type == CellType::uint8 ? 255.0F : 65535.0F));
+}
+
+/// What a raster is, besides its values.
+/// C       its bands
+/// throws  IoError; Error for a system GDAL does not know
+void describe(const fs::path& path, GDALDataset& d, Index C, const GeoGrid& grid,
+              const GeoTags& tags) {
+  const auto check = [&](CPLErr result) {
+    if (result != CE_None) refuse(path);
+  };
+  if (!(grid.step > 0))
+    throw Error("write_geo_raster: cells of " + digits(grid.step) + " m, expected a positive size");
+  if (!tags.band_names.empty() && static_cast<Index>(tags.band_names.size()) != C)
+    throw Error("write_geo_raster: " + std::to_string(tags.band_names.size()) +
+                " band names, expected " + std::to_string(C));
+  if (grid.epsg != 0) {
+    const OGRSpatialReference crs = system_of(grid.epsg, tags.heights);
+    check(d.SetSpatialRef(&crs));
+  }
+  std::array<double, 6> transform{grid.x0, grid.step, 0, grid.y0, 0, -grid.step};
+  check(d.SetGeoTransform(transform.data()));
+  check(d.SetMetadataItem("AREA_OR_POINT", "Area"));
+  if (!tags.description.empty())
+    check(d.SetMetadataItem("TIFFTAG_IMAGEDESCRIPTION", tags.description.c_str()));
+  if (!tags.software.empty()) check(d.SetMetadataItem("TIFFTAG_SOFTWARE", tags.software.c_str()));
+  if (tags.heights != HeightDatum::none)
+    check(d.SetMetadataItem("VERTICAL_DATUM", datum_text(tags.heights)));
+  for (const auto& [key, value] : tags.metadata)
+    check(d.SetMetadataItem(key.c_str(), value.c_str()));
+  constexpr std::array kColours{GCI_RedBand, GCI_GreenBand, GCI_BlueBand};
+  const bool picture = tags.type != CellType::float32 && C == 3;
+  for (Index c = 0; c < C; ++c) {
+    GDALRasterBand* band = d.GetRasterBand(static_cast<int>(c) + 1);
+    check(band->SetNoDataValue(tags.nodata));
+    if (!tags.unit.empty()) check(band->SetUnitType(tags.unit.c_str()));
+    if (!tags.band_names.empty())
+      band->SetDescription(tags.band_names[static_cast<std::size_t>(c)].c_str());
+    if (picture) check(band->SetColorInterpretation(kColours[static_cast<std::size_t>(c)]));
+  }
+}
+
+/// Writes rows of all bands, from row y0 on.
+void write_values(const fs::path& path, GDALDataset& d, Index y0, const Tensor& values,
+                  const GeoTags& tags) {
+  const auto [C, H, W] = extents_of("write_geo_raster", values, false);
+  const auto w = static_cast<int>(W), h = static_cast<int>(H);
+  std::vector<float> plane(static_cast<std::size_t>(H * W));
+  for (Index c = 0; c < C; ++c) {
+    const float* from = values.data() + c * H * W;
+    std::transform(from, from + H * W, plane.begin(),
+                   [&](float v) { return stored(v, tags.type, tags.nodata); });
+    if (d.GetRasterBand(static_cast<int>(c) + 1)
+            ->RasterIO(GF_Write, 0, static_cast<int>(y0), w, h, plane.data(), w, h, GDT_Float32, 0,
+                       0, nullptr) != CE_None)
+      refuse(path);
+  }
+}
+
+/// How a cloud-optimised GeoTIFF is made.
+std::vector<const char*> cog_options(const GeoTags& tags) {
+  return {"COMPRESS=DEFLATE", "PREDICTOR=YES", "BIGTIFF=IF_SAFER",
+          tags.means ? "OVERVIEW_RESAMPLING=AVERAGE" : "OVERVIEW_RESAMPLING=MODE"};
 }
 
 }  // namespace
@@ -160,6 +216,16 @@ const char* datum_text(HeightDatum datum) {
       break;
   }
   return "";
+}
+
+std::string crs_wkt(int epsg) {
+  const GdalScope scope;
+  const OGRSpatialReference crs = known_system(epsg);
+  char* text = nullptr;
+  crs.exportToWkt(&text);
+  const std::string wkt = text == nullptr ? "" : text;
+  CPLFree(text);
+  return wkt;
 }
 
 int height_epsg(HeightDatum datum) {
@@ -180,41 +246,82 @@ GeoTags ellipsoidal_height(const std::string& description) {
 void write_geo_raster(const fs::path& path, const Tensor& values, const GeoGrid& grid,
                       const GeoTags& tags) {
   const auto [C, H, W] = extents_of("write_geo_raster", values, false);
-  if (!(grid.step > 0))
-    throw Error("write_geo_raster: cells of " + digits(grid.step) + " m, expected a positive size");
-  if (!tags.band_names.empty() && static_cast<Index>(tags.band_names.size()) != C)
-    throw Error("write_geo_raster: " + std::to_string(tags.band_names.size()) +
-                " band names, expected " + std::to_string(C));
   const GdalScope scope;
-  const auto w = static_cast<int>(W), h = static_cast<int>(H);
-  MemoryRaster raster(path, "MEM", {w, h, static_cast<int>(C)}, gdal_type(tags.type));
-  if (grid.epsg != 0) {
-    const OGRSpatialReference crs = system_of(grid.epsg, tags.heights);
-    raster.check(raster->SetSpatialRef(&crs));
-  }
-  std::array<double, 6> transform{grid.x0, grid.step, 0, grid.y0, 0, -grid.step};
-  raster.check(raster->SetGeoTransform(transform.data()));
-  describe(raster, tags);
-
-  constexpr std::array kColours{GCI_RedBand, GCI_GreenBand, GCI_BlueBand};
-  const bool picture = tags.type != CellType::float32 && C == 3;
-  std::vector<float> plane(static_cast<std::size_t>(H * W));
-  for (Index c = 0; c < C; ++c) {
-    GDALRasterBand* band = raster->GetRasterBand(static_cast<int>(c) + 1);
-    raster.check(band->SetNoDataValue(tags.nodata));
-    if (!tags.unit.empty()) raster.check(band->SetUnitType(tags.unit.c_str()));
-    if (!tags.band_names.empty())
-      band->SetDescription(tags.band_names[static_cast<std::size_t>(c)].c_str());
-    if (picture) raster.check(band->SetColorInterpretation(kColours[static_cast<std::size_t>(c)]));
-    const float* from = values.data() + c * H * W;
-    std::transform(from, from + H * W, plane.begin(),
-                   [&](float v) { return stored(v, tags.type, tags.nodata); });
-    raster.check(
-        band->RasterIO(GF_Write, 0, 0, w, h, plane.data(), w, h, GDT_Float32, 0, 0, nullptr));
-  }
-  raster.convert("COG", {"COMPRESS=DEFLATE", "PREDICTOR=YES", "BIGTIFF=IF_SAFER",
-                         tags.means ? "OVERVIEW_RESAMPLING=AVERAGE" : "OVERVIEW_RESAMPLING=MODE"});
+  MemoryRaster raster(path, "MEM", {static_cast<int>(W), static_cast<int>(H), static_cast<int>(C)},
+                      gdal_type(tags.type));
+  describe(path, *raster, C, grid, tags);
+  write_values(path, *raster, 0, values, tags);
+  raster.convert("COG", cog_options(tags));
   raster.save();
+}
+
+/// The rows so far, in a file beside the one to be made.
+struct GeoRasterRows::File {
+  DatasetPtr dataset;
+};
+
+GeoRasterRows::GeoRasterRows(fs::path path, Index bands, Index height, Index width,
+                             const GeoGrid& grid, GeoTags tags)
+    : path_(std::move(path)),
+      rows_(path_.string() + ".rows"),
+      bands_(bands),
+      height_(height),
+      width_(width),
+      tags_(std::move(tags)) {
+  const GdalScope scope;
+  CPLStringList list;
+  // small blocks of whole rows: what is written is read once more, from the top down
+  for (const char* option : {"COMPRESS=LZW", "BIGTIFF=IF_SAFER", "INTERLEAVE=BAND"})
+    list.AddString(option);
+  file_ = std::make_unique<File>();
+  file_->dataset.reset(driver_of_name(path_, "GTiff")
+                           .Create(rows_.c_str(), static_cast<int>(width), static_cast<int>(height),
+                                   static_cast<int>(bands), gdal_type(tags_.type), list));
+  if (!file_->dataset) refuse(path_);
+  describe(path_, *file_->dataset, bands, grid, tags_);
+}
+
+GeoRasterRows::~GeoRasterRows() {
+  file_.reset();
+  std::error_code ignored;
+  fs::remove(rows_, ignored);
+}
+
+void GeoRasterRows::append(const Tensor& values) {
+  const auto [C, H, W] = extents_of("GeoRasterRows", values, false);
+  if (C != bands_ || W != width_ || next_ + H > height_)
+    throw ShapeError("GeoRasterRows: values " + values.shape().str() + " below row " +
+                     std::to_string(next_) + ", expected " + std::to_string(bands_) +
+                     " bands of rows of " + std::to_string(width_) + " cells, " +
+                     std::to_string(height_) + " in all");
+  const GdalScope scope;
+  write_values(path_, *file_->dataset, next_, values, tags_);
+  next_ += H;
+}
+
+void GeoRasterRows::finish() {
+  if (next_ != height_)
+    throw Error("GeoRasterRows: " + std::to_string(next_) + " rows of " + path_.string() +
+                ", expected " + std::to_string(height_));
+  const GdalScope scope;
+  fs::path made = path_;
+  made += ".part";
+  CPLStringList list;
+  for (const char* option : cog_options(tags_)) list.AddString(option);
+  file_->dataset->FlushCache();
+  DatasetPtr cog(
+      driver_of_name(path_, "COG")
+          .CreateCopy(made.c_str(), file_->dataset.get(), FALSE, list, nullptr, nullptr));
+  if (!cog) refuse(path_);
+  CPLErrorReset();
+  cog.reset();
+  if (CPLGetLastErrorType() >= CE_Failure) refuse(path_);
+  file_.reset();
+  std::error_code error;
+  fs::remove(rows_, error);
+  fs::rename(made, path_, error);
+  if (error)
+    throw IoError(path_.string() + ": cannot be put in its place (" + error.message() + ")");
 }
 
 void write_rpc_geotiff(const fs::path& path, const Tensor& pixels, PixelType type, const Rpc& rpc,

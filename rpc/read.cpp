@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstdlib>
 #include <sstream>
 
 namespace satsurf::rpc {
@@ -16,10 +17,21 @@ namespace {
 
 namespace fs = std::filesystem;
 
+/// What is read of a file: a window, of which every `factor`-th column and row is kept.
+struct Part {
+  PixelWindow window;
+  Index factor = 1;
+  bool may_be_empty = false;  ///< without one valid pixel
+
+  Index width() const { return window.width / factor; }
+  Index height() const { return window.height / factor; }
+};
+
 /// 1 where the file itself calls a pixel valid.
 std::vector<std::uint8_t> file_mask(const fs::path& path, GDALDataset& d,
-                                    const std::vector<int>& bands, const PixelWindow& w) {
-  const auto N = static_cast<std::size_t>(w.width * w.height);
+                                    const std::vector<int>& bands, const Part& part) {
+  const PixelWindow& w = part.window;
+  const auto N = static_cast<std::size_t>(part.width() * part.height());
   std::vector<std::uint8_t> valid(N, 1);
   const int flags = d.GetRasterBand(bands[0])->GetMaskFlags();
   if (flags & GMF_ALL_VALID) return valid;
@@ -32,8 +44,8 @@ std::vector<std::uint8_t> file_mask(const fs::path& path, GDALDataset& d,
     GDALRasterBand* mask = d.GetRasterBand(bands[b])->GetMaskBand();
     if (mask->RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0),
                        static_cast<int>(w.width), static_cast<int>(w.height), band.data(),
-                       static_cast<int>(w.width), static_cast<int>(w.height), GDT_Byte, 0, 0,
-                       nullptr) != CE_None)
+                       static_cast<int>(part.width()), static_cast<int>(part.height()), GDT_Byte, 0,
+                       0, nullptr) != CE_None)
       throw IoError(path.string() + ": the mask cannot be read, expected a whole file; " +
                     gdal_error());
     for (std::size_t i = 0; i < N; ++i) valid[i] = valid[i] || band[i] != 0;
@@ -91,14 +103,18 @@ void complete(RasterInfo& info, const ViewSource& source) {
   throw IoError(path.string() + ": no camera (RPC), looked for " + tried);
 }
 
+/// All of a file, or the window that is named.
+Part part_of(const RasterInfo& info, const std::optional<PixelWindow>& window = {}) {
+  return {window.value_or(PixelWindow{0, 0, info.width, info.height})};
+}
+
 /// The pixels of an open file, and which of them are valid.
 /// info    of the whole file
-/// window  the part to read; all of it if left out
+/// part    the part to read
 /// throws  IoError
-Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info,
-                  const std::optional<PixelWindow>& window) {
+Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info, const Part& part) {
   Image image;
-  const PixelWindow w = window.value_or(PixelWindow{0, 0, info.width, info.height});
+  const PixelWindow& w = part.window;
   if (w.x0 < 0 || w.y0 < 0 || w.width < 1 || w.height < 1 || w.x0 + w.width > info.width ||
       w.y0 + w.height > info.height) {
     std::ostringstream text;
@@ -108,19 +124,20 @@ Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info,
   }
 
   std::vector<int> bands = colour_bands(d);
-  const Index C = info.bands, H = w.height, W = w.width, N = H * W;
+  const Index C = info.bands, H = part.height(), W = part.width(), N = H * W;
   check_content(path, d);
   // pixels and validity as floats, two masks of a byte
   check_memory(path, d, static_cast<double>(N) * (4 * static_cast<double>(C + 1) + 2));
   image.pixels = Tensor::uninitialised({C, H, W});
   CPLErrorReset();
-  if (d.RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0), static_cast<int>(W),
-                 static_cast<int>(H), image.pixels.data(), static_cast<int>(W), static_cast<int>(H),
-                 GDT_Float32, static_cast<int>(C), bands.data(), 0, 0, 0, nullptr) != CE_None)
+  if (d.RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0),
+                 static_cast<int>(W * part.factor), static_cast<int>(H * part.factor),
+                 image.pixels.data(), static_cast<int>(W), static_cast<int>(H), GDT_Float32,
+                 static_cast<int>(C), bands.data(), 0, 0, 0, nullptr) != CE_None)
     throw IoError(path.string() + ": the pixels cannot be read, expected a whole file; " +
                   gdal_error());
 
-  const auto mask = file_mask(path, d, bands, w);
+  const auto mask = file_mask(path, d, bands, part);
   image.valid = Tensor::uninitialised({H, W});
   const Index count = ordered_reduce<Index>(N, Index{1} << 16, 0, [&](Index begin, Index end) {
     Index valid = 0;
@@ -132,15 +149,19 @@ Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info,
     }
     return valid;
   });
-  if (count == 0)
+  if (count == 0 && !part.may_be_empty)
     throw IoError(path.string() +
                   ": no valid pixel (all nodata, masked or NaN), expected an image");
 
-  if (info.rpc) info.rpc = info.rpc->cropped(static_cast<double>(w.x0), static_cast<double>(w.y0));
+  // Of `factor` pixels the one in the middle is kept, which of an even number is half a pixel beyond.
+  const auto f = static_cast<double>(part.factor), off = part.factor % 2 == 0 ? 0.5 : 0.0;
+  const double x = static_cast<double>(w.x0) + off, y = static_cast<double>(w.y0) + off;
+  if (info.rpc) info.rpc = info.rpc->cropped(x, y);
+  if (info.rpc && part.factor > 1) info.rpc = info.rpc->resized(1 / f);
   if (auto& t = info.geotransform) {
-    const auto x = static_cast<double>(w.x0), y = static_cast<double>(w.y0);
     (*t)[0] += (*t)[1] * x + (*t)[2] * y;
     (*t)[3] += (*t)[4] * x + (*t)[5] * y;
+    for (const std::size_t k : {1, 2, 4, 5}) (*t)[k] *= f;
   }
   info.width = W;
   info.height = H;
@@ -148,12 +169,26 @@ Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info,
   return image;
 }
 
+/// A part of a view.
+/// choose  which, by what the file says of itself
+template <class F>
+Image open_part(const ViewSource& source, const F& choose) {
+  const GdalScope scope;
+  const DatasetPtr d = open_raster(source.raster);
+  RasterInfo info = info_of(source.raster, *d);
+  complete(info, source);
+  const Part part = choose(info);
+  return read_pixels(source.raster, *d, std::move(info), part);
+}
+
 }  // namespace
 
 Image read_image(const fs::path& path, const std::optional<PixelWindow>& window) {
   const GdalScope scope;
   const DatasetPtr d = open_raster(path);
-  return read_pixels(path, *d, info_of(path, *d), window);
+  RasterInfo info = info_of(path, *d);
+  const Part part = part_of(info, window);
+  return read_pixels(path, *d, std::move(info), part);
 }
 
 ViewSource find_view(const fs::path& path, const std::vector<fs::path>& image_dirs) {
@@ -173,11 +208,25 @@ ViewSource find_view(const fs::path& path, const std::vector<fs::path>& image_di
 }
 
 Image open_view(const ViewSource& source) {
-  const GdalScope scope;
-  const DatasetPtr d = open_raster(source.raster);
-  RasterInfo info = info_of(source.raster, *d);
-  complete(info, source);
-  return read_pixels(source.raster, *d, std::move(info), {});
+  return open_part(source, [](const RasterInfo& info) { return part_of(info); });
+}
+
+Image open_window(const ViewSource& source, const PixelWindow& window) {
+  return open_part(source, [&](const RasterInfo&) { return Part{window, 1, true}; });
+}
+
+Image open_reduced(const ViewSource& source, Index factor) {
+  return open_part(source, [&](const RasterInfo& info) {
+    if (factor < 1 || factor > std::min(info.width, info.height))
+      throw IoError(source.file.string() + ": " + std::to_string(info.width) + " x " +
+                    std::to_string(info.height) + " px to be reduced " + std::to_string(factor) +
+                    " times, expected at least one pixel to be left");
+    return Part{{0, 0, info.width / factor * factor, info.height / factor * factor}, factor};
+  });
+}
+
+void limit_block_cache(std::size_t bytes) {
+  if (std::getenv("GDAL_CACHEMAX") == nullptr) GDALSetCacheMax64(static_cast<GIntBig>(bytes));
 }
 
 Image open_view(const fs::path& path, const std::vector<fs::path>& image_dirs) {
@@ -206,8 +255,16 @@ RgbChoice rgb_choice(const Image& image) {
   return {channels, low, high};
 }
 
-Tensor to_rgb(const Image& image) {
-  const auto [channels, low, high] = rgb_choice(image);
+Tensor to_rgb(const Image& image) { return to_rgb(image, rgb_choice(image)); }
+
+Tensor to_rgb(const Image& image, const RgbChoice& choice) {
+  Dims dim("to_rgb");
+  dim.match("pixels", image.pixels, "C H W").match("valid", image.valid, "H W");
+  const auto [channels, low, high] = choice;
+  for (const Index c : channels)
+    if (c < 0 || c >= dim["C"])
+      throw ShapeError("to_rgb: channel " + std::to_string(c) + " of " + std::to_string(dim["C"]) +
+                       ", expected one there is");
   const Index H = image.pixels.dim(1), W = image.pixels.dim(2), N = H * W;
   const float scale = high > low ? 1 / (high - low) : 0;
   auto rgb = Tensor::uninitialised({3, H, W});

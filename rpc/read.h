@@ -73,6 +73,9 @@ struct RgbChoice {
 /// throws  ShapeError
 RgbChoice rgb_choice(const Image& image);
 
+/// Colours for the network, by a choice made once for all parts of an image.
+/// throws  ShapeError
+Tensor to_rgb(const Image& image, const RgbChoice& choice);
 /// Colours for the network.
 ///   channels  one or two: the first, three times; three or more: `info.rgb_channels` (Pleiades and
 ///             SPOT deliver R G B N)
@@ -129,6 +132,17 @@ Image open_view(const ViewSource& source);
 /// As `open_view(find_view(path, image_dirs))`.
 Image open_view(const std::filesystem::path& path,
                 const std::vector<std::filesystem::path>& image_dirs = {});
+/// A window of an image too large to be read whole; none of its pixels need be valid.
+/// throws  IoError as `open_view`, and for a window that leaves the image
+Image open_window(const ViewSource& source, const PixelWindow& window);
+/// Every `factor`-th column and row of an image, from the middle of the first `factor` on; what is
+/// left at the right and lower rim is cut off. The values are those of the image, so that a border
+/// keeps its one value, and the camera is the reduced image's.
+/// throws  IoError as `open_view`; for an image that has fewer columns or rows than `factor`
+Image open_reduced(const ViewSource& source, Index factor);
+/// Bounds what the readers keep of blocks they have read, for the whole program; unless the user
+/// has (GDAL_CACHEMAX in the environment). GDAL takes a twentieth of the memory.
+void limit_block_cache(std::size_t bytes);
 /// The same without the pixels.
 RasterInfo view_info(const std::filesystem::path& path,
                      const std::vector<std::filesystem::path>& image_dirs = {});

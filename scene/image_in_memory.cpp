@@ -74,12 +74,12 @@ rpc::Image image_of(const ImageInMemory& image) {
 UserScene scene_from_images(const std::vector<ImageInMemory>& images,
                             const std::optional<rpc::HeightRange>& height_range,
                             const std::function<void()>& poll, const ViewRules& rules) {
-  ViewList views(rules.validity);
+  ViewList views(rules);
   for (const ImageInMemory& image : images) {
     if (poll) poll();
     views.add(image_of(image), image.name, {});
   }
-  return std::move(views).scene(height_range, poll, rules.pointing);
+  return std::move(views).scene(height_range, poll);
 }
 
 }  // namespace satsurf::scene

@@ -40,19 +40,40 @@ std::vector<std::size_t> groups_of(std::size_t images, const std::vector<PairRes
   return group;
 }
 
-/// Says which image shares too little with the others; empty if all are connected.
-std::string unconnected(const std::vector<View>& views, const std::vector<PairResidual>& pairs) {
-  const std::vector<std::size_t> group = groups_of(views.size(), pairs);
-  for (std::size_t i = 0; i < views.size(); ++i) {
-    if (group[i] == group[0]) continue;
-    Index most = 0;
-    for (const PairResidual& pair : pairs)
-      if ((pair.a == i || pair.b == i) && group[pair.a] != group[pair.b])
-        most = std::max(most, pair.ties);
-    return views[i].label() + " shares " + std::to_string(most) +
-           " tie points with another image, expected " + std::to_string(kFewest) + " or more";
+/// The largest group, the first of several, by ascending view.
+std::vector<std::size_t> largest_group(const std::vector<std::size_t>& group) {
+  std::size_t best = 0;
+  const auto size = [&](std::size_t g) { return std::ranges::count(group, g); };
+  for (const std::size_t g : group)
+    if (size(g) > size(best) || (size(g) == size(best) && g < best)) best = g;
+  std::vector<std::size_t> members;
+  for (std::size_t i = 0; i < group.size(); ++i)
+    if (group[i] == best) members.push_back(i);
+  return members;
+}
+
+/// Says that an image shares too little with the others.
+std::string shares_little(const View& view, std::size_t i, const std::vector<PairResidual>& pairs) {
+  Index most = 0;
+  for (const PairResidual& pair : pairs)
+    if (pair.a == i || pair.b == i) most = std::max(most, pair.ties);
+  return view.label() + " shares " + std::to_string(most) +
+         " tie points with another image, expected " + std::to_string(kFewest) + " or more";
+}
+
+/// The points that two or more of some views see, numbered anew.
+std::vector<TiePoint> among(const std::vector<TiePoint>& points,
+                            const std::vector<std::size_t>& members) {
+  std::vector<TiePoint> out;
+  for (const TiePoint& point : points) {
+    TiePoint kept;
+    for (const Sighting& s : point.sightings)
+      if (const auto at = std::ranges::lower_bound(members, s.view);
+          at != members.end() && *at == s.view)
+        kept.sightings.push_back({static_cast<std::size_t>(at - members.begin()), s.pixel});
+    if (kept.sightings.size() >= 2) out.push_back(std::move(kept));
   }
-  return {};
+  return out;
 }
 
 /// The middle nine tenths of the points' heights.
@@ -109,17 +130,23 @@ double mean_across(const std::vector<PairResidual>& pairs) {
 
 Pointing measure_pointing(const std::vector<View>& views, const rpc::HeightRange& height_range,
                           const std::function<void()>& poll) {
-  const std::vector<TiePoint> points =
-      find_tie_points(views, height_range, kLargestPointingError, poll);
-  const double height = height_range.middle();
+  return pointing_from(views, find_tie_points(views, height_range, kLargestPointingError, poll),
+                       height_range.middle());
+}
+
+Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoint>& points,
+                       double height) {
   Pointing out = agreement(views, points, height);
-  if (const std::string alone = unconnected(views, out.before); !alone.empty()) {
-    out.verdict = "not estimated: " + alone;
+  const std::vector<std::size_t> members = largest_group(groups_of(views.size(), out.before));
+  if (members.size() < 2) {
+    out.verdict = "not estimated: " + shares_little(views[1], 1, out.before);
     return out;
   }
   const std::vector<rpc::Rpc> cameras = cameras_of(views);
-  PointingAdjustment found = adjust_pointing(cameras, points, height);
-  out.shifts = std::move(found.shifts);
+  std::vector<rpc::Rpc> connected;
+  for (const std::size_t i : members) connected.push_back(cameras[i]);
+  const PointingAdjustment found = adjust_pointing(connected, among(points, members), height);
+  for (std::size_t k = 0; k < members.size(); ++k) out.shifts[members[k]] = found.shifts[k];
   out.observable = found.observable;
   note_after(out, cameras, points, height);
   const double before = mean_across(out.before), after = mean_across(out.after),
@@ -132,11 +159,13 @@ Pointing measure_pointing(const std::vector<View>& views, const rpc::HeightRange
                   number(", without to %.2f px", before);
   else
     out.applied = true, out.verdict = "estimated from the images";
+  for (std::size_t i = 0; i < views.size(); ++i)
+    if (!std::ranges::binary_search(members, i))
+      out.verdict += "; " + shares_little(views[i], i, out.before) + ": its camera stays as it is";
   return out;
 }
 
-Pointing given_pointing(const std::vector<View>& views, const NamedShifts& shifts,
-                        const rpc::HeightRange& height_range, const std::function<void()>& poll) {
+std::vector<rpc::Pixel> shifts_of(const std::vector<View>& views, const NamedShifts& shifts) {
   std::vector<rpc::Pixel> chosen;
   for (const View& v : views) {
     const auto at = shifts.find(v.name);
@@ -148,15 +177,26 @@ Pointing given_pointing(const std::vector<View>& views, const NamedShifts& shift
     }
     chosen.push_back(at->second);
   }
+  return chosen;
+}
+
+Pointing given_pointing(const std::vector<View>& views, const NamedShifts& shifts,
+                        const rpc::HeightRange& height_range, const std::function<void()>& poll) {
+  const std::vector<rpc::Pixel> chosen = shifts_of(views, shifts);
   // Points are looked for where the shifted cameras see them, which is as far as they are off.
   std::vector<View> shifted = views;
   for (std::size_t i = 0; i < views.size(); ++i)
     shifted[i].rpc = views[i].rpc.cropped(-chosen[i].x, -chosen[i].y);
-  const std::vector<TiePoint> points =
-      find_tie_points(shifted, height_range, kLargestPointingError, poll);
-  Pointing out = agreement(views, points, height_range.middle());
-  out.shifts = std::move(chosen);
-  note_after(out, cameras_of(views), points, height_range.middle());
+  return given_pointing(views, chosen,
+                        find_tie_points(shifted, height_range, kLargestPointingError, poll),
+                        height_range.middle());
+}
+
+Pointing given_pointing(const std::vector<View>& views, std::vector<rpc::Pixel> shifts,
+                        const std::vector<TiePoint>& points, double height) {
+  Pointing out = agreement(views, points, height);
+  out.shifts = std::move(shifts);
+  note_after(out, cameras_of(views), points, height);
   out.applied = true;
   out.verdict = "as given";
   return out;

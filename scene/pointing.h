@@ -34,7 +34,8 @@ inline constexpr double kLargestPointingError = 50;
 
 /// Measures how well cameras agree and estimates a shift for each, without changing anything.
 ///   measured   with tie points, see `find_tie_points`
-///   estimated  with `adjust_pointing`, where pairs with 20 points or more connect all images
+///   estimated  with `adjust_pointing`, for the most images that pairs with 20 points or more
+///              connect; the others' cameras stay as they are, and the verdict names them
 ///   useful     (`applied` is then set) where the largest shift is above 0.3 px and the residuals
 ///              across the epipolar direction become smaller
 /// views         two or more
@@ -42,6 +43,11 @@ inline constexpr double kLargestPointingError = 50;
 /// poll          called often, may throw to stop
 Pointing measure_pointing(const std::vector<View>& views, const rpc::HeightRange& height_range,
                           const std::function<void()>& poll = {});
+
+/// The same of tie points that have been found, in views whose pixels are not needed.
+/// height  where points are begun, m above the ellipsoid
+Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoint>& points,
+                       double height);
 
 /// Shifts by the names of the images, as a file of them says.
 using NamedShifts = std::map<std::string, rpc::Pixel>;
@@ -51,6 +57,13 @@ using NamedShifts = std::map<std::string, rpc::Pixel>;
 Pointing given_pointing(const std::vector<View>& views, const NamedShifts& shifts,
                         const rpc::HeightRange& height_range,
                         const std::function<void()>& poll = {});
+
+/// The shift of each view.
+/// throws  ConfigError naming a view without one
+std::vector<rpc::Pixel> shifts_of(const std::vector<View>& views, const NamedShifts& shifts);
+/// As `given_pointing`, of tie points that have been found.
+Pointing given_pointing(const std::vector<View>& views, std::vector<rpc::Pixel> shifts,
+                        const std::vector<TiePoint>& points, double height);
 
 /// Shifts the cameras of the views: exactly, by the offsets of their RPCs.
 void apply_pointing(const Pointing& pointing, std::vector<View>& views);

@@ -4,6 +4,7 @@
 #include "satsurf/scene/height_range.h"
 #include "satsurf/scene/polygon.h"
 #include "satsurf/scene/view_geometry.h"
+#include "satsurf/scene/view_pair.h"
 
 #include <algorithm>
 #include <cmath>
@@ -96,10 +97,9 @@ void check_wanted(const rpc::HeightRange& wanted, const std::vector<View>& views
 /// throws Error for two images from one point of view, which carry no height
 void check_parallax(const View& a, const View& b, const rpc::UtmZone& zone,
                     const std::array<double, 2>& ground, double h) {
-  constexpr double kLeast = 1e-3;  // px per m; a tenth of a pixel for a tower of 100 m
   const auto lon_lat = rpc::geodetic_from_utm(zone, ground[0], ground[1]);
   const double px = parallax(a.rpc, b.rpc, {lon_lat[0], lon_lat[1], h});
-  if (px >= kLeast) return;
+  if (px >= kLeastParallax) return;
   char text[32];
   std::snprintf(text, sizeof text, "%.2g px/m", px);
   throw Error(a.label() + " and " + b.label() + " are seen from one direction (parallax " + text +
@@ -133,13 +133,27 @@ RangeChoice choose_range(const std::optional<rpc::HeightRange>& wanted,
   return {camera_range(views), kCameraRange};
 }
 
-bool holds(const rpc::HeightRange& range, const std::optional<rpc::HeightRange>& heights) {
-  return !heights || (range.low <= heights->low && heights->high <= range.high);
+/// Where a view is put on the ground: the middle of the range; of its own heights without one.
+double height_of(const View& view, const std::optional<rpc::HeightRange>& range) {
+  return range && range->has_span() ? range->middle() : view.rpc.height_off;
 }
 
-/// Where a view is put on the ground: the middle of the range; of its own heights without one.
-double height_of(const View& view, const rpc::HeightRange& range) {
-  return range.has_span() ? range.middle() : view.rpc.height_off;
+/// Of many views those that are used; all of two, about which `check_overlaps` has the better words.
+/// left_out  takes the others
+std::vector<View> chosen(std::vector<View> views, const std::optional<rpc::HeightRange>& range,
+                         Index most, std::vector<LeftOut>& left_out) {
+  if (views.size() <= 2) return views;
+  ViewChoice choice = choose_views(
+      views, [&](const View& v) { return height_of(v, range); }, most);
+  if (choice.kept.empty()) return views;
+  std::vector<View> kept;
+  for (const Index i : choice.kept) kept.push_back(std::move(views[static_cast<std::size_t>(i)]));
+  left_out = std::move(choice.left_out);
+  return kept;
+}
+
+bool holds(const rpc::HeightRange& range, const std::optional<rpc::HeightRange>& heights) {
+  return !heights || (range.low <= heights->low && heights->high <= range.high);
 }
 
 rpc::Geodetic centre_of(const View& view, const rpc::HeightRange& range) {
@@ -214,7 +228,7 @@ void check_height_range(const rpc::HeightRange& wanted) {
 }
 
 void ViewList::add(const rpc::Image& image, const std::string& name, const fs::path& file) {
-  Validity left = apply(rules_, image.pixels, image.valid);
+  Validity left = apply(rules_.validity, image.pixels, image.valid);
   if (std::ranges::none_of(left.valid.values(), [](float v) { return v > 0; }))
     throw IoError((file.empty() ? name : file.string()) +
                   ": no pixel but the nodata that was named, expected an image");
@@ -233,14 +247,15 @@ void ViewList::add(const rpc::Image& image, const std::string& name, const fs::p
 }
 
 UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
-                          const std::function<void()>& poll, const PointingChoice& pointing) && {
+                          const std::function<void()>& poll) && {
   if (views_.empty()) throw Error("no image, expected two or more");
   if (views_.size() == 1)
     throw Error(views_[0].label() + " is the only image, expected two or more");
   UserScene out;
   Scene& scene = out.scene;
-  out.range = choose_range(wanted, named_, views_);
-  scene.views = std::move(views_);
+  scene.views =
+      chosen(std::move(views_), wanted ? wanted : named_, rules_.most_views, out.left_out);
+  out.range = choose_range(wanted, named_, scene.views);
   const rpc::HeightRange first = out.range.height_range;  // before images have been compared
 
   const rpc::Geodetic centre = centre_of(scene.views[0], first);
@@ -258,7 +273,7 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
   scene.frame.h0 = std::round(first.middle());
   scene.name = scene.views[0].name;
 
-  if (pointing.given || pointing.measure) {
+  if (const PointingChoice& pointing = rules_.pointing; pointing.given || pointing.measure) {
     out.pointing = pointing.given ? given_pointing(scene.views, *pointing.given, first, poll)
                                   : measure_pointing(scene.views, first, poll);
     if (out.pointing->applied) {
@@ -285,12 +300,12 @@ UserScene scene_from_views(const std::vector<fs::path>& files,
                            const std::function<void()>& poll, const ViewRules& rules) {
   if (files.size() == 1)  // before it is read
     throw Error(files[0].string() + " is the only image, expected two or more");
-  ViewList views(rules.validity);
+  ViewList views(rules);
   for (const fs::path& file : files) {
     if (poll) poll();
     views.add(rpc::open_view(file, image_dirs), file.stem().string(), file);
   }
-  return std::move(views).scene(wanted, poll, rules.pointing);
+  return std::move(views).scene(wanted, poll);
 }
 
 }  // namespace satsurf::scene

@@ -5,6 +5,7 @@
 #include "satsurf/scene/pointing.h"
 #include "satsurf/scene/scene.h"
 #include "satsurf/scene/validity.h"
+#include "satsurf/scene/view_choice.h"
 
 #include <filesystem>
 #include <functional>
@@ -34,39 +35,45 @@ struct UserScene {
   Scene scene;
   RangeChoice range;
   std::optional<Pointing> pointing{};  ///< nothing where it was not asked for
+  std::vector<LeftOut> left_out{};     ///< images that are no views of the scene
 };
+
+/// Views of a scene unless more are wanted: what each tells beside the others becomes less, and the
+/// time grows with the square of their number.
+inline constexpr Index kMostViews = 5;
 
 /// What is made of images before anything is searched in them.
 struct ViewRules {
-  ValidityRules validity{};   ///< what of every image does not count
-  PointingChoice pointing{};  ///< whether cameras are measured and shifted
+  ValidityRules validity{};       ///< what of every image does not count
+  PointingChoice pointing{};      ///< whether cameras are measured and shifted
+  Index most_views = kMostViews;  ///< that the scene is made of; the best, see `choose_views`
 };
 
 /// Views gathered one by one, with what their images say of heights.
 class ViewList {
  public:
-  /// rules  what of every image does not count
-  explicit ViewList(const ValidityRules& rules = {}) : rules_(rules) {}
+  explicit ViewList(const ViewRules& rules = {}) : rules_(rules) {}
   /// Adds an image after a check that something can be found again in it.
   /// name    of the view, numbered where it is taken
   /// file    what it was read from; empty for an image in memory
   /// throws  IoError naming the image
   void add(const rpc::Image& image, const std::string& name, const std::filesystem::path& file);
-  /// Checks that each pair sees common ground, and chooses the frame (UTM zone and rounded centre
-  /// of the common ground, height origin in the middle of the height range).
+  /// Chooses the views of three images and more, see `choose_views`, checks that each pair sees
+  /// common ground, and chooses the frame (UTM zone and rounded centre of the common ground, height
+  /// origin in the middle of the height range). Cameras are measured and shifted, if that is wanted,
+  /// before any height is searched for. A range of the images' metadata that does not hold the
+  /// heights that shifted cameras see is searched for too: the shifts leave open where the ground
+  /// as a whole lies.
   /// wanted  height range; else the one the images' metadata name, else it is searched for with
   ///         `find_height_range`
   /// poll    called often, may throw to stop
-  /// pointing  whether cameras are measured and shifted, before any height is searched for. A range
-  ///           of the images' metadata that does not hold the heights that shifted cameras see is
-  ///           searched for too: the shifts leave open where the ground as a whole lies.
   /// throws  ConfigError for a wanted range that is not the cameras', Error for fewer than two
   ///         views or views without overlap or parallax, each naming them
-  UserScene scene(const std::optional<rpc::HeightRange>& wanted, const std::function<void()>& poll,
-                  const PointingChoice& pointing = {}) &&;
+  UserScene scene(const std::optional<rpc::HeightRange>& wanted,
+                  const std::function<void()>& poll) &&;
 
  private:
-  ValidityRules rules_;
+  ViewRules rules_;
   std::vector<View> views_;
   std::optional<rpc::HeightRange> named_;  // union of the ranges the images name
 };

@@ -16,6 +16,7 @@
 #include <sstream>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 namespace satsurf::splat {
@@ -65,6 +66,15 @@ class Reader {
   explicit Reader(const std::filesystem::path& path) : path_(path) {
     if (is_file(path)) in_.open(path, std::ios::binary);  // opening a pipe waits
     if (!in_.is_open()) fail("cannot be opened");
+  }
+
+  /// Where the rows begin and how many there are, of a file with exactly these properties.
+  template <std::size_t N>
+  std::pair<std::uintmax_t, std::uintmax_t> rows_like(const std::array<const char*, N>& names) {
+    read_header();
+    if (!std::equal(properties_.begin(), properties_.end(), names.begin(), names.end()))
+      fail("other properties, expected those that write_ply writes");
+    return {static_cast<std::uintmax_t>(in_.tellg()), count_};
   }
 
   PlyContent read() {
@@ -195,6 +205,21 @@ class Reader {
   std::uintmax_t count_ = 0;
 };
 
+/// The header of a file.
+std::string header_of(const std::filesystem::path& path, std::uintmax_t count,
+                      const std::vector<std::string>& comments, bool two_scales) {
+  std::string bytes = "ply\nformat binary_little_endian 1.0\n";
+  for (const std::string& c : comments) {
+    if (c.find_first_of("\r\n") != std::string::npos)
+      throw IoError("write_ply: " + path.string() + ": comment '" + c + "' has more than one line");
+    bytes += "comment " + c + "\n";
+  }
+  bytes += "element vertex " + std::to_string(count) + "\n";
+  for (std::size_t n = 0; n < kNames.size(); ++n)
+    if (n != kThird || !two_scales) bytes += std::string("property float ") + kNames[n] + "\n";
+  return bytes + "end_header\n";
+}
+
 }  // namespace
 
 void write_ply(const std::filesystem::path& path, const Surfels& surfels,
@@ -213,17 +238,8 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
       .match("opacity", surfels.opacity, "P")
       .match("colours", surfels.colours, "P 3");
   const Index P = dim["P"];
-  std::string bytes = "ply\nformat binary_little_endian 1.0\n";
-  for (const std::string& c : comments) {
-    if (c.find_first_of("\r\n") != std::string::npos)
-      fail("comment '" + c + "' has more than one line");
-    bytes += "comment " + c + "\n";
-  }
-  bytes += "element vertex " + std::to_string(P) + "\n";
+  std::string bytes = header_of(path, static_cast<std::uintmax_t>(P), comments, two_scales);
   const auto written = [&](std::size_t n) { return n != kThird || !two_scales; };
-  for (std::size_t n = 0; n < kNames.size(); ++n)
-    if (written(n)) bytes += std::string("property float ") + kNames[n] + "\n";
-  bytes += "end_header\n";
 
   std::array<float, kNames.size()> row{};
   bytes.reserve(bytes.size() + static_cast<std::size_t>(P) * sizeof(row));
@@ -259,6 +275,41 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
       if (written(n)) bytes.append(reinterpret_cast<const char*>(&row[n]), sizeof(float));
   }
   atomic_write(path, bytes);
+}
+
+void join_ply(const std::filesystem::path& path, const std::vector<std::filesystem::path>& parts,
+              const std::vector<std::string>& comments) {
+  constexpr std::size_t kRow = kNames.size() * sizeof(float);
+  const auto fail = [](const std::filesystem::path& file, const std::string& what) {
+    throw IoError("join_ply: " + file.string() + ": " + what);
+  };
+  std::uintmax_t count = 0;
+  std::vector<std::uintmax_t> begins;
+  for (const std::filesystem::path& part : parts) {
+    Reader reader(part);
+    const auto [begin, rows] = reader.rows_like(kNames);
+    std::error_code error;
+    if (std::filesystem::file_size(part, error) != begin + rows * kRow || error)
+      fail(part, "is cut short, expected " + std::to_string(rows) + " surfels");
+    begins.push_back(begin), count += rows;
+  }
+  std::filesystem::path work = path;
+  work += ".part";
+  std::ofstream out(work, std::ios::binary | std::ios::trunc);
+  out << header_of(path, count, comments, false);
+  std::vector<char> block(std::size_t{1} << 20);
+  for (std::size_t k = 0; k < parts.size(); ++k) {
+    std::ifstream in(parts[k], std::ios::binary);
+    in.seekg(static_cast<std::streamoff>(begins[k]));
+    while (in.read(block.data(), static_cast<std::streamsize>(block.size())) || in.gcount() > 0)
+      out.write(block.data(), in.gcount());
+    if (!in.eof()) fail(parts[k], "cannot be read");
+  }
+  out.close();
+  std::error_code error;
+  if (!out) fail(work, "cannot be written");
+  std::filesystem::rename(work, path, error);
+  if (error) fail(path, "cannot be put in its place (" + error.message() + ")");
 }
 
 PlyContent read_ply(const std::filesystem::path& path) { return Reader(path).read(); }

@@ -70,9 +70,10 @@ void start_from(const fs::path& init, TrainingTask& task, const TrainingCallback
                  missing.front() + " to " + missing.back() + " start as without it");
 }
 
-/// Takes network and optimiser from a checkpoint of the same run.
+/// Takes network, optimiser and averaged weights from a checkpoint of the same run.
+/// average  none where nothing is averaged
 void resume_from(const fs::path& checkpoint, TrainingTask& task, nn::AdamW& optimiser,
-                 const nlohmann::json& config, std::uint64_t seed) {
+                 nn::RunningMean* average, const nlohmann::json& config, std::uint64_t seed) {
   const TensorFile file = load_safetensors(checkpoint);
   const auto saved = file.metadata.find("train"), saved_seed = file.metadata.find("seed");
   if (saved == file.metadata.end() || saved_seed == file.metadata.end())
@@ -88,6 +89,12 @@ void resume_from(const fs::path& checkpoint, TrainingTask& task, nn::AdamW& opti
                       ": made with another configuration, expected the same to resume; " + others);
   task.parameters().load(file, task.prefix(), checkpoint.string());
   optimiser.load(file, checkpoint.string());
+  if (average != nullptr) average->load(file, checkpoint.string());
+  const auto step = file.metadata.find("step");
+  if (step == file.metadata.end() || step->second != std::to_string(optimiser.steps()))
+    throw IoError(checkpoint.string() + ": the network is of step " +
+                  (step == file.metadata.end() ? "nothing" : step->second) +
+                  ", expected that of the optimiser, " + std::to_string(optimiser.steps()));
 }
 
 double learning_rate(const TrainingSettings& settings, Index step) {
@@ -189,14 +196,12 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
   const nlohmann::json config = parse_json(config_text, "train");
   nn::AdamW optimiser(task.parameters(), {.weight_decay = settings.weight_decay});
   const bool resume = !run.checkpoint.empty();
-  if (resume)
-    resume_from(run.checkpoint, task, optimiser, config, run.seed);
-  else if (!settings.init.empty())
-    start_from(settings.init, task, callbacks);
-  Index step = optimiser.steps();
+  if (!resume && !settings.init.empty()) start_from(settings.init, task, callbacks);
   nn::RunningMean average(task.parameters(), settings.average);
-  if (resume && settings.average > 0)
-    average.load(load_safetensors(run.checkpoint), run.checkpoint.string());
+  if (resume)
+    resume_from(run.checkpoint, task, optimiser, settings.average > 0 ? &average : nullptr, config,
+                run.seed);
+  Index step = optimiser.steps();
 
   const auto save = [&] {
     if (!callbacks.save) return;
@@ -218,6 +223,8 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
     callbacks.save(checkpoint, weights);
   };
 
+  // A run that was killed between its two files left weights of an earlier step.
+  if (resume) save();
   for (bool go_on = true; go_on && step < settings.steps;) {
     const auto start = std::chrono::steady_clock::now();
     task.parameters().clear_grads();
@@ -244,8 +251,7 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
     report.seconds =
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     if (callbacks.step) go_on = callbacks.step(report);
-    if (!go_on || step == settings.steps || step % settings.checkpoint_every == 0 ||
-        (step == 1 && !resume))
+    if (!go_on || step == settings.steps || step % settings.checkpoint_every == 0 || step == 1)
       save();
   }
 }

@@ -118,8 +118,8 @@ struct StepReport {
 struct TrainingCallbacks {
   /// After every step; returning false stops the training once its state has been saved.
   std::function<bool(const StepReport&)> step;
-  /// Whenever the state is worth keeping: after the first step of a new run, every
-  /// `checkpoint_every` steps and at the end. The checkpoint holds all that resuming needs, the
+  /// Whenever the state is worth keeping: after the first step of a new run, before the first of one
+  /// that is resumed, every `checkpoint_every` steps and at the end. The checkpoint holds all that resuming needs, the
   /// weights the network alone.
   std::function<void(const TensorFile& checkpoint, const TensorFile& weights)> save;
   /// Before each scene is read, with the share of them that has been; may throw to stop.

@@ -153,8 +153,8 @@ TEST_CASE("a flag of two structs is made once, and one of another is refused") {
 
 TEST_CASE("the reference tells of every flag and every column") {
   Program program;
-  for (const auto add :
-       {add_info, add_simulate, add_train, add_reconstruct, add_evaluate, add_render, add_help})
+  for (const auto add : {add_info, add_simulate, add_train, add_reconstruct, add_evaluate,
+                         add_render, add_export, add_help})
     add(program);
   const std::string text = reference(program);
   for (const Command& command : program.commands) {

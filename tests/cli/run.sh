@@ -44,15 +44,16 @@ refuses() {
   [ ! -s stdout ] || fail "$name: something on stdout"
   [ "$before" = "$after" ] || fail "$name: files were made, changed or left behind: $(diff <(echo "$before") <(echo "$after") | grep '^[<>]' | head -n 2)"
 }
-listing() { find . -not -name stdout -not -name stderr -not -path . -printf '%p %s %T@\n' | sort; }
+listing() { find . -not -name stdout -not -name stderr -not -name held -not -path . -printf '%p %s %T@\n' | sort; }
 
 # holds NAME COMMAND...: the command says yes
 holds() {
   checks=$((checks + 1))
   local name=$1
   shift
-  : >stderr
-  "$@" >/dev/null 2>stderr || fail "$name"
+  "$@" >/dev/null 2>held && return  # what the command before said stays in stderr
+  cp held stderr
+  fail "$name"
 }
 
 # --- the whole path ------------------------------------------------------------------------------------------------
@@ -69,6 +70,19 @@ succeeds "info" "$satsurf" info "${images[@]}"
 holds "info names the camera's source" grep -q "RPC (TIFF tag)" stdout
 holds "info tells overlap and parallax" grep -qE "overlap [0-9.]+ %, parallax [0-9.]+ px/m" stdout
 holds "info tells how the cameras agree" grep -qE "^  correction    " stdout
+succeeds "info as JSON" "$satsurf" info "${images[@]}" --json
+for key in '"kind": "image"' '"source": "TIFF tag"' '"off_nadir_deg": [0-9]' '"parallax_px_per_m": [0-9]' '"verdict": "'; do
+  holds "it has $key" grep -qE "$key" stdout
+done
+"$satsurf" info "${images[0]}" gone.tif "${images[1]}" nowhere.tif >stdout 2>stderr
+code=$?
+cp stderr bad.txt
+holds "bad files among good ones fail" test $code -eq 1
+holds "with one line for each" test "$(wc -l <bad.txt)" -eq 2
+holds "which names it" grep -q "^satsurf: nowhere.tif: " bad.txt
+holds "the good ones are told all the same" grep -q "^pairs" stdout
+"$satsurf" info "${images[0]}" gone.tif --json >stdout 2>stderr
+holds "JSON names what could not be read" grep -qE '"error": "gone.tif: ' stdout
 
 tiny=(--preset tiny --crop 32 --steps 24 --checkpoint_every 4 --seed 9 --quiet)
 succeeds "train" "$satsurf" train --data data --out whole "${tiny[@]}"
@@ -141,7 +155,7 @@ holds "and what each part of it takes" grep -qE "^  volumes 3 +[0-9.]+ [MG]B" st
 holds "it writes nothing" test ! -e out
 succeeds "reconstruct" "$satsurf" reconstruct "${images[@]}" --out out --weights $weights --quiet
 holds "it records how well the cameras were fitted" grep -qE '"camera_fit_max_px": [0-9]' out/run.json
-for file in dsm.tif confidence.tif ortho.tif views.tif surfels.ply mesh.ply run.json height.png hillshade.png confidence.png \
+for file in dsm.tif confidence.tif ortho.tif views.tif surfels.ply mesh.ply run.json report.html height.png hillshade.png confidence.png \
   views/SIM_001_001_RGB_render.png views/SIM_001_003_RGB_source.png; do
   holds "reconstruct writes $file" test -s "out/$file"
 done
@@ -158,11 +172,76 @@ echo '{"images": []}' >none.json
 refuses "shifts of other images" 2 "no shift for SIM_001_001_RGB" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights \
   --pointing none.json --quiet
 succeeds "no mesh" "$satsurf" reconstruct "${images[@]}" --out bare --weights $weights --mesh none --quiet
-holds "the rest is the same without" diff -r -x run.json -x mesh.ply out bare
+holds "the rest is the same without" diff -r -x run.json -x report.html -x mesh.ply out bare
+holds "the report is a page of its own" grep -qE '<canvas id="view"' out/report.html
+holds "it names no other place" bash -c '! grep -qE "(src|href)=.?(https?:)?//|url\(|@import" out/report.html'
 holds "and there is no mesh" test ! -e bare/mesh.ply
 holds "and none in the record" grep -qE '"mesh": null' bare/run.json
-rm -rf bare
-succeeds "a coarse mesh" "$satsurf" reconstruct "${images[@]}" --out coarse --weights $weights --voxel 3 --quiet
+cp "${images[0]}" twin.tif
+succeeds "one image twice beside two others" "$satsurf" reconstruct "${images[@]}" twin.tif --out twins --weights $weights --mesh none --report none --quiet
+holds "is left out" grep -q "same direction as" twins/run.json
+holds "and changes nothing" cmp twins/dsm.tif bare/dsm.tif
+succeeds "no more images than wanted" "$satsurf" reconstruct "${images[@]}" --max-views 2 --out two --weights $weights --mesh none --report none --quiet
+holds "the third is told of" grep -q "others go better together" two/run.json
+succeeds "heights above the geoid" "$satsurf" reconstruct "${images[@]}" --geoid egm96 --out geoid --weights $weights --mesh none --report none --quiet
+holds "say so" grep -q '"vertical_datum": "EGM96 geoid"' geoid/run.json
+holds "and are others than those above the ellipsoid" bash -c '! cmp -s geoid/dsm.tif bare/dsm.tif'
+holds "surfels stay above the ellipsoid" cmp geoid/surfels.ply bare/surfels.ply
+refuses "a geoid without a grid" 1 "EGM2008 geoid, expected its grid" "$satsurf" reconstruct "${images[@]}" --geoid egm2008 --out no --weights $weights --quiet
+rm -rf twins twin.tif two geoid
+# A part of the ground: inside a triangle in the zone of the images, and between meridians and parallels.
+"$satsurf" reconstruct "${images[@]}" --dry-run --weights $weights --quiet >plan.txt 2>stderr
+read -r epsg x0 x1 y0 y1 < <(sed -nE 's/^ground +EPSG:([0-9]+), east ([0-9]+) to ([0-9]+), north ([0-9]+) to ([0-9]+) .*/\1 \2 \3 \4 \5/p' plan.txt)
+cat >area.geojson <<END
+{"type": "FeatureCollection", "crs": {"type": "name", "properties": {"name": "EPSG:$epsg"}}, "features": [{"type": "Feature",
+ "properties": {}, "geometry": {"type": "Polygon", "coordinates": [[[$((x0 + 8)), $((y0 + 8))], [$((x1 - 8)), $((y0 + 8))],
+ [$((x0 + 8)), $((y1 - 8))], [$((x0 + 8)), $((y0 + 8))]]]}}]}
+END
+succeeds "an area of interest" "$satsurf" reconstruct "${images[@]}" --out part --weights $weights --mesh none --aoi area.geojson --quiet
+for file in dsm confidence views ortho; do holds "the part has $file.tif" test -s part/$file.tif; done
+holds "the record has a table of tiles" grep -q '"status": "done"' part/run.json
+"$satsurf" evaluate --dsm part/dsm.tif --truth bare/dsm.tif >stdout 2>stderr
+holds "it lies in the triangle" grep -qE "completeness ([5-9]|[1-4][0-9])\.[0-9] %" stdout
+holds "no tiles are left" test ! -e part.tiles
+read -r lon lat < <("$satsurf" info "${images[0]}" | sed -nE 's/^  centre +lon ([-0-9.]+), lat ([-0-9.]+) .*/\1 \2/p')
+box=$(awk -v x="$lon" -v y="$lat" 'BEGIN { printf "%.6f,%.6f,%.6f,%.6f", x - 0.0001, y - 0.0001, x + 0.0001, y + 0.0001 }')
+succeeds "a box in degrees" "$satsurf" reconstruct "${images[@]}" --out box --weights $weights --mesh none --bbox="$box" --quiet
+holds "it is smaller than the whole" test "$(stat -c %s box/surfels.ply)" -lt "$(stat -c %s bare/surfels.ply)"
+rm -rf part box
+refuses "an area elsewhere" 1 "outside of what two images see" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --bbox 1,1,1.1,1.1 --quiet
+refuses "a box of three numbers" 2 "--bbox: 3 numbers, expected 4" "$satsurf" reconstruct "${images[@]}" --out no --bbox 1,1,2
+refuses "a box and an area" 2 "--bbox and --aoi came" "$satsurf" reconstruct "${images[@]}" --out no --bbox 1,1,2,2 --aoi area.geojson
+refuses "an area that is none" 1 "area.txt: not a vector file" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --aoi "$(echo none >area.txt; echo area.txt)" --quiet
+refuses "no size of memory" 2 "max_memory: .much., expected a size" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --max-memory much --quiet
+refuses "too little memory" 2 "max_memory: 1 MB, expected .* or more for 3 images" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --max-memory 1MB --quiet
+
+# Images in tiles: a run that is killed leaves its tiles, and goes on with them to the same bytes.
+succeeds "simulate for tiles" "$satsurf" simulate --out large --scenes 1 --views 2 --pixels 420 --seed 3 --kinds village --quiet
+tiled=("$satsurf" reconstruct large/Track3-RGB/*.tif --weights $weights --pointing off --max-memory 300MB --quiet)
+succeeds "the plan of tiles" "${tiled[@]}" --dry-run
+holds "it tells tiles, memory and time" grep -zqE "tiles +[2-9] x [2-9].*memory +about .*time +about " stdout
+succeeds "in tiles" "${tiled[@]}" --out tiles
+holds "it says that there is no mesh" grep -q '"mesh_left_out"' tiles/run.json
+setsid "${tiled[@]}" --out killed >stdout 2>stderr &
+job=$!
+for _ in $(seq 1200); do
+  [ "$(ls killed.tiles/tile_*.json 2>/dev/null | wc -l)" -ge 2 ] && break
+  sleep 0.02
+done
+kill -KILL "$job" 2>/dev/null
+wait "$job" 2>/dev/null
+holds "a killed run leaves its tiles" test "$(ls killed.tiles/tile_*.json 2>/dev/null | wc -l)" -ge 2
+holds "and no surface" test ! -e killed
+refuses "tiles in the way" 1 "killed.tiles holds the tiles of a stopped run" "${tiled[@]}" --out killed
+refuses "tiles of another run" 2 "resume: .*/config/resolution was 0.0 and is 2.0" "${tiled[@]}" --out killed --resume --resolution 2
+succeeds "going on with them" "${tiled[@]}" --out killed --resume --threads 1
+holds "to the same bytes" diff -r -x run.json -x report.html tiles killed
+holds "with a report that tells of the tiles" grep -q "Searched" killed/report.html
+holds "and nothing is left beside it" test -z "$(ls -d killed.* 2>/dev/null)"
+rm -rf tiles killed large
+
+succeeds "a coarse mesh" "$satsurf" reconstruct "${images[@]}" --out coarse --weights $weights --voxel 3 --report none --quiet
+holds "without a report where none is wanted" test ! -e coarse/report.html
 holds "it is smaller" test "$(stat -c %s coarse/mesh.ply)" -lt "$(stat -c %s out/mesh.ply)"
 succeeds "a mesh that cannot be made" "$satsurf" reconstruct "${images[@]}" --out failing --weights $weights --voxel 900 --quiet
 cp stderr failed.txt
@@ -175,9 +254,9 @@ holds "which says how many there are" grep -q "common ground has a height, expec
 holds "and leaves the surface" cmp out/dsm.tif failing/dsm.tif
 rm -rf failing
 succeeds "reconstruct on one thread" "$satsurf" reconstruct "${images[@]}" --out one --weights $weights --threads 1 --quiet
-holds "threads do not change a byte" diff -r -x run.json out one
+holds "threads do not change a byte" diff -r -x run.json -x report.html out one
 succeeds "weights from the environment" env SATSURF_WEIGHTS=$weights "$satsurf" reconstruct "${images[@]}" --out one --overwrite --quiet
-holds "overwriting gives the same" diff -r -x run.json out one
+holds "overwriting gives the same" diff -r -x run.json -x report.html out one
 
 succeeds "evaluate a surface" "$satsurf" evaluate --dsm out/dsm.tif --truth $truth --register xyz \
   --seen-by "${images[@]}" --json scores.json --error-map error.png
@@ -267,6 +346,25 @@ else
 fi
 succeeds "render from above" "$satsurf" render --surfels out/surfels.ply --nadir --out above.png
 succeeds "render heights" "$satsurf" render --surfels out/surfels.ply --nadir --out above.tif
+succeeds "render heights on the grid of the surface" "$satsurf" render --surfels out/surfels.ply --nadir --grid out/dsm.tif --out grid.tif
+succeeds "they can be compared with it" "$satsurf" evaluate --dsm grid.tif --truth out/dsm.tif
+succeeds "render colours on it" "$satsurf" render --surfels out/surfels.ply --nadir --grid out/dsm.tif --show colours --out colours.tif
+succeeds "they have its system" "$satsurf" info colours.tif
+holds "namely UTM" grep -qE "georeference +EPSG:32[67]" stdout
+holds "a picture from above has a world file" test "$(wc -l <above.pgw)" -eq 6
+cp out/height.pgw map.pgw
+holds "so have the maps of a surface" test -s out/confidence.png.aux.xml
+refuses "a grid without a place" 1 "SIM_001_001_RGB.tif" "$satsurf" render --surfels out/surfels.ply --nadir --grid "${images[0]}" --out no.tif
+succeeds "export a mesh" "$satsurf" export --mesh out/mesh.ply --to mesh.glb
+holds "it is binary glTF" test "$(head -c 4 mesh.glb)" = glTF
+succeeds "export fewer faces" "$satsurf" export --mesh out/mesh.ply --to few.glb --max-faces 500
+holds "as many as allowed" bash -c 'read -r faces _ <stdout; [ "$faces" -le 500 ] && [ "$faces" -gt 100 ]'
+succeeds "export heights with colours" "$satsurf" export --dsm out/dsm.tif --ortho out/ortho.tif --to dsm.glb
+holds "they have colours" grep -qa COLOR_0 dsm.glb
+refuses "another format" 2 "expected a name ending in .glb" "$satsurf" export --mesh out/mesh.ply --to mesh.obj
+refuses "an existing file" 1 "--to: mesh.glb exists; use --overwrite" "$satsurf" export --mesh out/mesh.ply --to mesh.glb
+refuses "colours of another grid" 1 "another grid, expected that of $truth" "$satsurf" export --dsm $truth --ortho out/ortho.tif --to no.glb
+refuses "nothing to export" 2 "--mesh or --dsm is required" "$satsurf" export --to no.glb
 succeeds "render a view" "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --out view.tif
 succeeds "a rendered view has a camera" "$satsurf" info view.tif
 holds "namely the image's" grep -q "RPC (TIFF tag)" stdout
@@ -274,7 +372,7 @@ holds "namely the image's" grep -q "RPC (TIFF tag)" stdout
 # --- what is told, and where -----------------------------------------------------------------------------------------
 told=("$satsurf" reconstruct "${images[@]}" --weights $weights --overwrite --out told)
 succeeds "log to a file" "${told[@]}" --log-level debug --log-file log.txt --quiet
-holds "quiet stderr" test ! -s stderr
+holds "nothing but warnings on stderr" bash -c '! grep -v "^warning: " stderr'
 holds "the file names the command" grep -qE "^[0-9-]+T[0-9:.]+[+-][0-9:]+ debug +.*reconstruct.* --out told" log.txt
 holds "the height range" grep -qE " info +height range" log.txt
 holds "and the time of each stage" grep -qE " debug +write: [0-9.]+ s" log.txt
@@ -317,6 +415,20 @@ holds "word for word" cmp stdout help.txt
 succeeds "help" "$satsurf" help
 holds "it lists the commands" grep -qE "^  reconstruct +the surface two or more images show$" stdout
 refuses "help of what is none" 2 "unknown command paint, expected one of info" "$satsurf" help paint
+succeeds "the manual page" "$satsurf" help --man
+holds "it has the commands" grep -qF ".SH SATSURF RECONSTRUCT" stdout
+succeeds "completion" "$satsurf" help --completion bash
+cp stdout completion.bash
+complete_line() ( # WORDS...: what bash would offer for the last one
+  source ./completion.bash
+  COMP_WORDS=(satsurf "$@") COMP_CWORD=$#
+  _satsurf
+  echo "${COMPREPLY[*]}"
+)
+holds "of commands" test "$(complete_line rec)" = reconstruct
+holds "of flags" test "$(complete_line reconstruct --height)" = --height-range
+holds "of values" test "$(complete_line reconstruct --mesh n)" = none
+holds "of files" test "$(complete_line info complet)" = completion.bash
 succeeds "the reference" "$satsurf" help --markdown
 for told in "### satsurf evaluate" '| `--height-range` | 2 numbers |' '| `mesh_without_walls` |'; do
   holds "it has $told" grep -qF -- "$told" stdout
@@ -324,7 +436,7 @@ done
 
 # A record brings all that made its surface; flags change it, and results go where they are told.
 succeeds "reconstruct from its record" "$satsurf" reconstruct --config out/run.json --out replayed --quiet --threads 1
-holds "the same surface" diff -r -x run.json out replayed
+holds "the same surface" diff -r -x run.json -x report.html out replayed
 config() { sed -n '/^  "config": {/,/^  }/p' "$1"; }
 holds "from the same configuration" cmp <(config out/run.json) <(config replayed/run.json)
 succeeds "a record and a flag" "$satsurf" reconstruct --config out/run.json --mesh none --print-config
@@ -384,6 +496,8 @@ refuses "malformed configuration" 2 "broken.json" "$satsurf" train --config brok
 # --- wrong usage: exit code 2 ----------------------------------------------------------------------------------------
 refuses "no command" 2 "--help" "$satsurf"
 refuses "unknown command" 2 "paint" "$satsurf" paint
+refuses "a mistyped command" 2 "reconstuct, did you mean reconstruct\?" "$satsurf" reconstuct
+refuses "a mistyped flag" 2 "info: unknown flag --jsno, did you mean --json\?; see satsurf help info" "$satsurf" info "${images[0]}" --jsno
 refuses "unknown flag" 2 "--colour" "$satsurf" info "${images[0]}" --colour
 refuses "a number out of range" 2 "lr.*2" "$satsurf" train --data data --out no --lr 2
 refuses "no number" 2 "steps.*many" "$satsurf" train --data data --out no --steps many
@@ -593,7 +707,7 @@ mkdir hollow
 refuses "folder without scenes" 1 "hollow" "$satsurf" train --data hollow --out no "${tiny[@]}"
 mkdir hollow/scene && touch hollow/scene/train.txt
 refuses "Sat-NeRF scene without views" 1 "hollow/scene/train.txt: names no view" "$satsurf" train --data hollow --out no "${tiny[@]}"
-refuses "training into a used folder" 1 "whole .*--overwrite" "$satsurf" train --data data --out whole "${tiny[@]}"
+refuses "training into a used folder" 1 "whole .*--overwrite, or --resume to go on with its run" "$satsurf" train --data data --out whole "${tiny[@]}"
 retrain() { "$satsurf" train "${tiny[@]}" --overwrite "$@"; }
 refuses "overwriting, no such --init" 1 "nope.safetensors" retrain --data data --out whole --init nope.safetensors
 refuses "overwriting, too few images" 1 "SIM_001 has 4 images" retrain --data data --out whole --views 8

@@ -180,7 +180,7 @@ TEST_CASE("confidence as JSON, CSV and a figure") {
   // background, legend, then a bar of errors and three of shares for each bin
   CHECK(count(svg, "<rect ") == 1 + 4 + 4 * (2 + 2) + 4 * (10 + 10));
   CHECK(svg.find(">2.5 m<") != std::string::npos);
-  CHECK(svg.find(">share of a bin's pixels with |error| &lt;<") != std::string::npos);
+  CHECK(svg.find(">share of a bin&#39;s pixels with |error| &lt;<") != std::string::npos);
   CHECK(
       svg.find(">2 pixels; 2 bins of equal count, too few to tell whether the mean error falls<") !=
       std::string::npos);

@@ -47,7 +47,8 @@ BasicVar<T> objective(const nn::BasicModel<T>& model, const nn::NetworkInput& sc
 
 TEST_CASE("the memory of a forward pass is known before, part by part") {
   const NoGrad no_grad;
-  const auto check = [](const char* preset, std::size_t views, Index side) {
+  const auto check = [](const char* preset, std::size_t views, Index side,
+                        nn::Wanted wanted = nn::Wanted::surfels) {
     CAPTURE(preset);
     CAPTURE(views);
     CAPTURE(side);
@@ -60,24 +61,31 @@ TEST_CASE("the memory of a forward pass is known before, part by part") {
     const auto before = static_cast<double>(tensor_bytes());
     reset_peak_tensor_bytes();
     std::vector<nn::PartMemory> measured;
-    model.forward(scene, {}, &measured);
-    const auto planned = nn::forward_memory(config, static_cast<Index>(views), side, side);
-    REQUIRE(measured.size() == 7);
-    REQUIRE(planned.size() == 7);
+    model.forward(scene, {}, &measured, wanted);
+    const auto planned = nn::forward_memory(config, static_cast<Index>(views), side, side, wanted);
+    const std::size_t parts = wanted == nn::Wanted::surfels ? 7
+                              : wanted == nn::Wanted::discs ? 5
+                                                            : 4;
+    REQUIRE(measured.size() == parts);
+    REQUIRE(planned.size() == parts);
     double most = 0;
-    for (std::size_t i = 0; i < 7; ++i) {
+    for (std::size_t i = 0; i < parts; ++i) {
       CAPTURE(measured[i].part);
       CHECK(planned[i].part == measured[i].part);
       CHECK(planned[i].bytes / measured[i].bytes == doctest::Approx(1).epsilon(0.1));
       most = std::max(most, measured[i].bytes);
     }
-    CHECK(nn::forward_bytes(config, static_cast<Index>(views), side, side) / most ==
+    CHECK(nn::forward_bytes(config, static_cast<Index>(views), side, side, wanted) / most ==
           doctest::Approx(1).epsilon(0.1));
     CHECK(static_cast<double>(peak_tensor_bytes()) == before + most);  // measuring hides nothing
   };
   for (const std::size_t views : {2, 3, 5}) check("tiny", views, 256);
   check("tiny_full", 3, 256);
   check("base8", 3, 192);
+  for (const nn::Wanted wanted : {nn::Wanted::heights, nn::Wanted::discs}) {
+    check("tiny_full", 3, 256, wanted);
+    check("base8", 3, 192, wanted);
+  }
 }
 
 #if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they get blocks of malloc's
@@ -94,6 +102,28 @@ TEST_CASE("a second pass of a size asks the system for no memory") {
   CHECK(reserved_tensor_bytes() == reserved);
 }
 #endif
+
+TEST_CASE("discs lie where the surfels do, and are all alike") {
+  const NoGrad no_grad;
+  const nn::Model model(nn::model_preset("tiny_full"), 1);
+  const auto scene = hill();
+  const auto whole = model.forward(scene),
+             light = model.forward(scene, {}, nullptr, nn::Wanted::discs);
+  CHECK(light[0].surfels.means.empty());
+  CHECK(light[1].surfels.means.empty());
+  const auto same = [](const Var& a, const Var& b) {
+    return std::ranges::equal(a.value().values(), b.value().values());
+  };
+  const splat::Surfels &discs = light[2].surfels, &surfels = whole[2].surfels;
+  CHECK(same(light[2].height, whole[2].height));
+  CHECK(same(discs.means, surfels.means));
+  CHECK(same(discs.aux, surfels.aux));
+  CHECK(std::ranges::all_of(discs.opacity.value().values(),
+                            [](float v) { return std::abs(v - 0.3775f) < 1e-3f; }));
+  // 0.6 pixels of 0.5 m
+  CHECK(std::ranges::all_of(discs.scales.value().values(),
+                            [](float v) { return v > 0.25f && v < 0.35f; }));
+}
 
 TEST_CASE("a forward pass can be stopped") {
   struct Stop {};

@@ -2,6 +2,7 @@
 #include "satsurf/app/record.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/core/safetensors.h"
 #include "satsurf/core/version.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/scene/simulate/scene.h"
@@ -80,6 +81,55 @@ TEST_CASE("five steps, resume and five more are ten steps, byte for byte") {
   Index lines = 0;
   for (std::string line; std::getline(journal, line);) ++lines;
   CHECK(lines == 10);
+}
+
+TEST_CASE("a run killed between its checkpoint and its weights has both once it is resumed") {
+  const TempFolder folder("trainer-killed");
+  const auto weights = folder.path() / "run" / "weights.safetensors";
+  train_in_folder(tiny(4), data(), folder / "run", 4, false, stop_after(2));
+  const auto of_step_two = bytes_of(weights);
+  train_in_folder(tiny(4), data(), folder / "run", 4, true);
+  const auto of_step_four = bytes_of(weights);
+  CHECK(of_step_two != of_step_four);
+  std::ofstream(weights, std::ios::binary)
+      .write(of_step_two.data(), static_cast<std::streamsize>(of_step_two.size()));
+  CHECK(bytes_of(weights) == of_step_two);
+  train_in_folder(tiny(4), data(), folder / "run", 4, true);  // no step is left
+  CHECK(bytes_of(weights) == of_step_four);
+}
+
+TEST_CASE("a checkpoint whose optimiser cannot be that of a run is refused") {
+  const TempFolder folder("trainer-senseless");
+  train_in_folder(tiny(4), data(), folder / "run", 4, false, stop_after(2));
+  const auto file = folder.path() / "run" / "checkpoint.safetensors";
+  const TensorFile good = load_safetensors(file);
+  const auto refusal = [&](const TensorFile& bad) -> std::string {
+    save_safetensors(file, bad);
+    try {
+      train_in_folder(tiny(4), data(), folder / "run", 4, true);
+    } catch (const IoError& e) {
+      return e.what();
+    }
+    return "accepted";
+  };
+  const auto with_value = [&](const std::string& prefix, float value) {
+    TensorFile bad = good;
+    const auto it = std::ranges::find_if(
+        bad.tensors, [&](const auto& t) { return t.first.starts_with(prefix); });
+    REQUIRE(it != bad.tensors.end());
+    it->second = it->second.clone();
+    it->second[0] = value;
+    return bad;
+  };
+  CHECK(refusal(with_value("adam.v.", -1)).find("negative") != std::string::npos);
+  CHECK(refusal(with_value("adam.m.", NAN)).find("not finite") != std::string::npos);
+  TensorFile other_step = good;
+  other_step.metadata["adam.steps"] = "3";
+  CHECK(refusal(other_step).find("of step 2, expected that of the optimiser, 3") !=
+        std::string::npos);
+  other_step.metadata["adam.steps"] = "";
+  CHECK(refusal(other_step).find("expected a count") != std::string::npos);
+  CHECK(refusal(with_value("adam.m.", -1)) == "accepted");
 }
 
 TEST_CASE("one and two threads train the same bytes") {

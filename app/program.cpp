@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/program.h"
+
+#include "satsurf/core/nearest.h"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+namespace satsurf::app {
+
+std::string with_image_dir(std::string text) {
+  if (text.ends_with("; name its folder")) text += " with --image-dir";
+  return text;
+}
+
+std::string unknown_command(const Program& program, const std::string& name) {
+  const std::vector<std::string> names = program.names();
+  const std::optional<std::string> meant = nearest(name, names);
+  return fmt::format("unknown command {}, {}expected one of {}", name,
+                     meant ? "did you mean " + *meant + "? " : "", fmt::join(names, ", "));
+}
+
+std::string unexpected_arguments(const Program& program, const std::vector<std::string>& left) {
+  const std::vector<CLI::App*> called = program.app.get_subcommands();
+  const std::string command = called.empty() ? std::string() : called.front()->get_name();
+  const std::string hint =
+      command.empty() ? "; see satsurf --help" : "; see satsurf help " + command;
+  // what follows a mistyped flag is left over with it
+  const auto flag = std::ranges::find_if(
+      left, [](const std::string& text) { return text.size() > 1 && text[0] == '-'; });
+  if (flag == left.end() || called.empty())
+    return fmt::format("{}unexpected {}{}", command.empty() ? "" : command + ": ",
+                       fmt::join(left, " "), hint);
+  std::vector<std::string> known{"--help"};
+  for (const CLI::Option* option : called.front()->get_options()) {
+    for (const std::string& name : option->get_lnames()) known.push_back("--" + name);
+    for (const std::string& name : option->get_snames()) known.push_back("-" + name);
+  }
+  const std::string name = flag->substr(0, flag->find('='));
+  const std::optional<std::string> meant = nearest(name, known);
+  return fmt::format("{}: unknown flag {}{}{}", command, name,
+                     meant ? ", did you mean " + *meant + "?" : "", hint);
+}
+
+}  // namespace satsurf::app

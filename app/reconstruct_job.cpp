@@ -1,0 +1,254 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/reconstruct_job.h"
+
+#include "satsurf/app/interrupt.h"
+#include "satsurf/app/pointing_text.h"
+#include "satsurf/core/safetensors.h"
+#include "satsurf/nn/shipped_weights.h"
+#include "satsurf/nn/weights_file.h"
+#include "satsurf/rpc/geoid.h"
+#include "satsurf/scene/pointing_file.h"
+
+#include <cstdio>
+#include <utility>
+
+#include <fmt/format.h>
+
+namespace satsurf::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// The heights to search, if any were asked for.
+/// throws  ConfigError for a range that holds no surface
+std::optional<rpc::HeightRange> range_of(const ReconstructConfig& config) {
+  if (!config.height_range) return std::nullopt;
+  const rpc::HeightRange range{(*config.height_range)[0], (*config.height_range)[1]};
+  scene::check_height_range(range);
+  return range;
+}
+
+/// What to do about cameras that disagree.
+/// throws  IoError for a file that is none of shifts
+scene::PointingChoice pointing_of(const ReconstructConfig& config) {
+  if (config.pointing == "shift") return {};
+  if (config.pointing == "off") return {.measure = false};
+  return {.given = scene::read_pointing(config.pointing)};
+}
+
+scene::ViewRules rules_of(const ReconstructConfig& config) {
+  scene::ViewRules rules;
+  rules.validity.nodata = config.nodata;
+  rules.pointing = pointing_of(config);
+  rules.most_views = config.max_views;
+  return rules;
+}
+
+fs::path weights_of(const ReconstructConfig& config) {
+  return config.weights.empty()
+             ? nn::shipped_weights(nn::ShippedNetwork::cascade, "give --weights FILE")
+             : config.weights;
+}
+
+/// Before the work, not after it: a grid that is missing is told at once.
+/// throws  IoError
+void check_geoid(const ReconstructConfig& config) {
+  if (config.geoid != Geoid::none) rpc::geoid_heights(datum_of(config.geoid), {{{0, 0}}});
+}
+
+/// throws  IoError
+Networks networks_of(const fs::path& weights) {
+  const TensorFile file = load_safetensors(weights);
+  return {nn::model_from(file, weights.string()), nn::surface_from(file, weights.string())};
+}
+
+/// What was asked for, for the record.
+nlohmann::json config_json(ReconstructConfig config, const fs::path& weights) {
+  config.weights = weights;
+  return to_json(config);
+}
+
+std::optional<OutputFolder> staged_folder(const ReconstructJob& job) {
+  const ReconstructCommand& options = job.options;
+  if (options.dry_run) return std::nullopt;
+  std::vector<fs::path> apart{job.weights};
+  apart.insert(apart.end(), options.images.begin(), options.images.end());
+  apart.insert(apart.end(), options.image_dirs.begin(), options.image_dirs.end());
+  apart.push_back(options.config_file);
+  if (job.rules.pointing.given) apart.push_back(options.pointing);
+  apart.push_back(options.aoi);
+  return OutputFolder::staged(options.out, options.overwrite, std::move(apart));
+}
+
+void note_range(const scene::RangeChoice& choice, Progress& progress) {
+  progress.note(fmt::format("height range {:.1f} to {:.1f} m above the ellipsoid, {}",
+                            choice.height_range.low, choice.height_range.high, choice.source));
+}
+
+/// Says how the cameras agree and what was done about it; warns where nothing could be measured, and
+/// where shifted cameras see the ground outside the range that was asked for.
+void note_pointing(const scene::UserScene& user, Progress& progress) {
+  if (!user.pointing) return;
+  const scene::Pointing& pointing = *user.pointing;
+  const bool refused = pointing.after.empty();
+  progress.note(pointing_line(pointing) + (refused ? "; the cameras stay as they are" : ""),
+                refused ? LogLevel::warning : LogLevel::info);
+  const rpc::HeightRange& range = user.range.height_range;
+  if (pointing.applied && pointing.heights &&
+      (pointing.heights->low < range.low || pointing.heights->high > range.high))
+    progress.note(fmt::format("shifted cameras see ground from {:.0f} to {:.0f} m, expected it "
+                              "within the height range",
+                              pointing.heights->low, pointing.heights->high),
+                  LogLevel::warning);
+}
+
+/// Says which images have a border that nobody had declared.
+void note_borders(const scene::Scene& scene, Progress& progress) {
+  for (const scene::View& view : scene.views)
+    if (view.border > 0)
+      progress.note(fmt::format("{}: a border of one value, {:.1f} % of the image, is left out",
+                                view.label(), 100 * view.border));
+}
+
+/// Says which images are not used.
+void note_left_out(const scene::UserScene& user, Progress& progress) {
+  for (const scene::LeftOut& left : user.left_out)
+    progress.note(left.label + " is left out: " + left.why);
+}
+
+nlohmann::json left_out_json(const scene::UserScene& user) {
+  auto list = nlohmann::json::array();
+  for (const scene::LeftOut& left : user.left_out)
+    list.push_back({{"image", left.label}, {"why", left.why}});
+  return list;
+}
+
+/// What became of the images.
+nlohmann::json images_json(const scene::Scene& scene) {
+  auto list = nlohmann::json::array();
+  for (const scene::View& view : scene.views) {
+    const auto& [channels, low, high] = view.colours;
+    list.push_back({{"name", view.name},
+                    {"bands", view.bands},
+                    {"type", view.dtype},
+                    {"rgb_bands", {channels[0] + 1, channels[1] + 1, channels[2] + 1}},
+                    {"stretch", {low, high}},
+                    {"border", view.border}});
+  }
+  return list;
+}
+
+}  // namespace
+
+ReconstructJob::ReconstructJob(const ReconstructCommand& asked)
+    : options(asked),
+      height_range(range_of(asked)),
+      weights(weights_of(asked)),
+      rules(rules_of(asked)),
+      staged(staged_folder(*this)),
+      record("reconstruct", config_json(asked, weights), 0),
+      networks(networks_of(weights)),
+      warnings(progress, record) {
+  check_geoid(asked);
+}
+
+reconstruct::ReconstructOptions ReconstructJob::how() const {
+  reconstruct::ReconstructOptions out;
+  out.surface = options.surface;
+  out.network = networks.surface ? &*networks.surface : nullptr;
+  out.resolution = options.resolution;
+  return out;
+}
+
+std::vector<fs::path> ReconstructJob::inputs(const scene::Scene& scene) const {
+  std::vector<fs::path> out{weights};
+  if (rules.pointing.given) out.push_back(options.pointing);
+  if (!options.aoi.empty()) out.push_back(options.aoi);
+  for (const scene::View& view : scene.views)
+    out.insert(out.end(), view.files.begin(), view.files.end());
+  return out;
+}
+
+void ReconstructJob::note_scene(const scene::UserScene& user) {
+  note_left_out(user, progress);
+  note_pointing(user, progress);
+  note_range(user.range, progress);
+  note_borders(user.scene, progress);
+  warnings.add(reconstruct::scene_warnings(user.scene));
+  if (!staged) return;
+  const std::vector<fs::path> files = inputs(user.scene);
+  staged->add_inputs(files);
+  for (const fs::path& file : files) record.add_input(file);
+}
+
+void stop_if_interrupted() {
+  if (interrupted()) throw Interrupted{};
+}
+
+void print_plan_ground(const scene::UserScene& user, const reconstruct::Ground& ground) {
+  const rpc::LocalFrame& frame = user.scene.frame;
+  std::printf("height range  %.1f to %.1f m above the ellipsoid, %s\n", user.range.height_range.low,
+              user.range.height_range.high, user.range.source.c_str());
+  std::printf("ground        EPSG:%d, east %.0f to %.0f, north %.0f to %.0f (%.0f m x %.0f m)\n",
+              frame.zone.epsg(), ground.x0 + frame.easting0, ground.x1 + frame.easting0,
+              ground.y0 + frame.northing0, ground.y1 + frame.northing0, ground.width(),
+              ground.height());
+}
+
+nlohmann::json results_json(const SurfaceFacts& facts, const scene::UserScene& user) {
+  return {{"completeness", facts.completeness},
+          {"cells", {facts.rows, facts.columns}},
+          {"resolution", facts.resolution},
+          {"crs", "EPSG:" + std::to_string(user.scene.frame.zone.epsg())},
+          {"vertical_datum", rpc::datum_text(facts.datum)},
+          {"height_range", {user.range.height_range.low, user.range.height_range.high}},
+          {"height_range_source", user.range.source},
+          {"height_range_searched", {facts.searched.low, facts.searched.high}},
+          {"pointing", user.pointing ? pointing_json(*user.pointing) : nlohmann::ordered_json()},
+          {"lowest", facts.heights.low},
+          {"highest", facts.heights.high},
+          {"mean_confidence", facts.mean_confidence},
+          {"surfels", facts.surfels},
+          {"tiles", facts.tiles},
+          {"images", images_json(user.scene)},
+          {"left_out", left_out_json(user)},
+          {"camera_fit_max_px", facts.camera_fit_max_px},
+          {"planned_memory_bytes", facts.planned_memory_bytes},
+          {"mesh", facts.mesh},
+          {"reconstruct_seconds", facts.seconds}};
+}
+
+void print_summary(const SurfaceFacts& facts, const scene::Scene& scene, double wall_seconds,
+                   const fs::path& out) {
+  std::printf(
+      "surface       %td x %td cells of %g m, EPSG:%d, %.1f to %.1f m above the ellipsoid\n",
+      facts.columns, facts.rows, facts.resolution, scene.frame.zone.epsg(), facts.heights.low,
+      facts.heights.high);
+  std::printf("completeness  %.1f %%\n", 100 * facts.completeness);
+  std::printf("confidence    %.3f on average\n", facts.mean_confidence);
+  std::printf("surfels       %td from %zu images in %td tile%s\n", facts.surfels,
+              scene.views.size(), facts.tiles, facts.tiles == 1 ? "" : "s");
+  if (!facts.mesh.is_null())
+    std::printf("mesh          %td faces, voxels of %g m\n", facts.mesh["faces"].get<Index>(),
+                facts.mesh["voxel"].get<double>());
+  std::printf("time          %.1f s, %.1f s of them for the surface\n", wall_seconds,
+              facts.seconds);
+  std::printf("written to    %s\n", out.c_str());
+}
+
+void refuse_no_heights(const std::vector<fs::path>& images) {
+  std::string names;
+  for (const fs::path& file : images) names += (names.empty() ? "" : ", ") + file.string();
+  throw Error("no cell of the surface got a height from " + names +
+              ", expected images that agree; see satsurf info");
+}
+
+void check_coverage(double completeness, const ReconstructCommand& options) {
+  if (completeness >= options.min_coverage) return;
+  throw Error(
+      fmt::format("{:.1f} % of the common ground has a height, expected {:.1f} % by "
+                  "--min-coverage; the surface is in {}",
+                  100 * completeness, 100 * options.min_coverage, options.out.string()));
+}
+
+}  // namespace satsurf::app

@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/app/log.h"
+#include "satsurf/app/output_folder.h"
+#include "satsurf/app/progress.h"
+#include "satsurf/app/reconstruct_options.h"
+#include "satsurf/app/record.h"
+#include "satsurf/core/error.h"
+#include "satsurf/nn/model.h"
+#include "satsurf/nn/surface_net.h"
+#include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/reconstruct/warnings.h"
+#include "satsurf/rpc/raster.h"
+#include "satsurf/scene/user_images.h"
+
+#include <filesystem>
+#include <new>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace satsurf::app {
+
+/// Tells warnings and keeps them for the record.
+class Warnings {
+ public:
+  Warnings(Progress& progress, RunRecord& record) : progress_(progress), record_(record) {}
+
+  void add(const reconstruct::Warning& warning) {
+    progress_.note(warning.text, LogLevel::warning);
+    record_.add_warning(warning.code, warning.text);
+  }
+  void add(const std::vector<reconstruct::Warning>& warnings) {
+    for (const reconstruct::Warning& warning : warnings) add(warning);
+  }
+  /// Does a part of the work that the surface can do without: its failure is a warning.
+  /// what  of the results it makes; `what` and _failed is the code
+  template <class F>
+  void attempt(const std::string& what, F&& work) {
+    try {
+      work();
+    } catch (const Error& e) {
+      add({what + "_failed", "no " + what + ": " + e.what()});
+    } catch (const std::bad_alloc&) {
+      add({what + "_failed", "no " + what + ": out of memory; try smaller images"});
+    }
+  }
+
+ private:
+  Progress& progress_;
+  RunRecord& record_;
+};
+
+/// The networks of one file of weights.
+struct Networks {
+  nn::Model model;
+  std::optional<nn::SurfaceModel> surface;
+};
+
+/// A run of `reconstruct`, as both its ways begin and end: images looked at whole, and images worked
+/// on in tiles.
+struct ReconstructJob {
+  const ReconstructCommand& options;
+  std::optional<rpc::HeightRange> height_range;  ///< that was asked for
+  std::filesystem::path weights;
+  scene::ViewRules rules;
+  std::optional<OutputFolder> staged;  ///< empty in a dry run
+  RunRecord record;
+  Networks networks;
+  Progress progress;
+  Warnings warnings;
+
+  /// throws  IoError, ConfigError
+  explicit ReconstructJob(const ReconstructCommand& options);
+  /// How a surface is made, with the progress left to the caller.
+  reconstruct::ReconstructOptions how() const;
+  /// All files that a run reads: weights, shifts, area, and those of the images.
+  std::vector<std::filesystem::path> inputs(const scene::Scene& scene) const;
+  /// Says what was found in the images, warns of what they let fear, and notes all files.
+  void note_scene(const scene::UserScene& user);
+};
+
+/// Both ways. They leave the finished folder in its place, or print their plan.
+void reconstruct_whole(ReconstructJob& job);
+void reconstruct_tiles(ReconstructJob& job);
+
+/// throws  Interrupted
+void stop_if_interrupted();
+
+/// The first lines of a plan: heights and ground.
+void print_plan_ground(const scene::UserScene& user, const reconstruct::Ground& ground);
+
+/// What the record says of every run.
+struct SurfaceFacts {
+  double completeness = 0, resolution = 0, mean_confidence = 0, camera_fit_max_px = 0;
+  Index rows = 0, columns = 0, surfels = 0, tiles = 0;
+  rpc::HeightRange searched;                             ///< heights above the ellipsoid, m
+  rpc::HeightRange heights;                              ///< lowest and highest cell, likewise
+  nlohmann::ordered_json mesh;                           ///< null without one
+  rpc::HeightDatum datum = rpc::HeightDatum::ellipsoid;  ///< of dsm.tif
+  double seconds = 0;                                    ///< that making the surface took
+  double planned_memory_bytes = 0;
+};
+nlohmann::json results_json(const SurfaceFacts& facts, const scene::UserScene& user);
+/// The last lines on stdout.
+void print_summary(const SurfaceFacts& facts, const scene::Scene& scene, double wall_seconds,
+                   const std::filesystem::path& out);
+/// throws  Error where no cell has a height
+[[noreturn]] void refuse_no_heights(const std::vector<std::filesystem::path>& images);
+/// throws  Error for a surface with fewer cells than were asked for
+void check_coverage(double completeness, const ReconstructCommand& options);
+
+}  // namespace satsurf::app

@@ -1,0 +1,425 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/interrupt.h"
+#include "satsurf/app/legend.h"
+#include "satsurf/app/preview.h"
+#include "satsurf/app/products.h"
+#include "satsurf/app/reconstruct_job.h"
+#include "satsurf/app/reconstruct_report.h"
+#include "satsurf/app/tile_store.h"
+#include "satsurf/app/tiled_files.h"
+#include "satsurf/core/block_pool.h"
+#include "satsurf/core/isa.h"
+#include "satsurf/core/memory.h"
+#include "satsurf/core/parallel.h"
+#include "satsurf/core/version.h"
+#include "satsurf/reconstruct/tile.h"
+#include "satsurf/rpc/area.h"
+#include "satsurf/scene/pointing_file.h"
+#include "satsurf/scene/survey.h"
+#include "satsurf/splat/select.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <future>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+namespace satsurf::app {
+namespace {
+
+namespace fs = std::filesystem;
+using reconstruct::Tile;
+using reconstruct::Tiling;
+using Clock = std::chrono::steady_clock;
+
+constexpr std::size_t kBlockCache = std::size_t{128} << 20;  // bytes
+constexpr double kLargeCells = 25e6;  // from here on surfels are thinned to as many
+constexpr double kAssembly = 0.02;    // of the time of all tiles that putting them together takes
+/// Seconds that one thread takes for a megapixel that the network sees, surface and files included;
+/// measured with the shipped weights on an AMD EPYC with AVX-512.
+constexpr double kThreadSeconds = 6.5;
+
+double seconds_since(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+/// The part of the ground that is wanted.
+struct Wanted {
+  std::optional<rpc::Area> polygons;            ///< what of it counts; none for all of a rectangle
+  std::optional<reconstruct::Ground> ground{};  ///< around it, local m
+
+  bool meets(const reconstruct::Ground& box, const rpc::LocalFrame& frame) const {
+    constexpr int kTried = 64;  // lines of a box that are looked at
+    if (!polygons) return true;
+    for (int i = 0; i <= kTried; ++i) {
+      const double y = box.y0 + box.height() * i / kTried + frame.northing0;
+      const std::vector<double> sides = polygons->crossings(y);
+      for (std::size_t k = 0; k + 1 < sides.size(); k += 2)
+        if (sides[k] < box.x1 + frame.easting0 && sides[k + 1] > box.x0 + frame.easting0)
+          return true;
+    }
+    return false;
+  }
+};
+
+/// throws  IoError, ConfigError
+Wanted wanted_ground(const ReconstructCommand& options, const rpc::LocalFrame& frame) {
+  Wanted out;
+  std::optional<rpc::Area> area;
+  if (!options.aoi.empty())
+    area = out.polygons = rpc::read_area(options.aoi, frame.zone);
+  else if (!options.bbox.empty())
+    area = rpc::area_of_box({options.bbox[0], options.bbox[1], options.bbox[2], options.bbox[3]},
+                            frame.zone);
+  if (!area) return out;
+  const auto [x0, y0, x1, y1] = area->bounds();
+  out.ground = {x0 - frame.easting0, y0 - frame.northing0, x1 - frame.easting0,
+                y1 - frame.northing0};
+  return out;
+}
+
+std::string time_text(double seconds) {
+  if (seconds < 90) return fmt::format("{:.0f} s", seconds);
+  if (seconds < 5400) return fmt::format("{:.0f} min", seconds / 60);
+  return fmt::format("{:.1f} h", seconds / 3600);
+}
+
+void print_plan(const Tiling& tiling, const scene::Survey& survey) {
+  print_plan_ground(survey.user, tiling.grid.ground());
+  std::printf("surface       %td x %td cells of %g m\n", tiling.grid.width, tiling.grid.height,
+              tiling.grid.step);
+  std::printf("tiles         %td x %td, each with windows of at most %td x %td px of %zu images\n",
+              tiling.columns, tiling.rows, tiling.window, tiling.window, survey.views.size());
+  std::printf("memory        about %s; %s are free\n", memory_text(tiling.memory_bytes).c_str(),
+              memory_text(static_cast<double>(available_memory())).c_str());
+  std::printf(
+      "time          about %s, by %.1f s per megapixel and thread for %.0f megapixels on %d "
+      "threads\n",
+      time_text(kThreadSeconds * tiling.megapixels / threads()).c_str(), kThreadSeconds,
+      tiling.megapixels, threads());
+}
+
+/// throws  Error where the system has less memory than the plan needs
+void check_memory(const Tiling& tiling) {
+  const auto available = static_cast<double>(available_memory());
+  const double held = static_cast<double>(tensor_bytes());
+  if (tiling.memory_bytes - held <= available) return;
+  throw Error(
+      fmt::format("tiles of {} px need about {} of memory, expected {} at most; "
+                  "--max-memory makes them smaller",
+                  tiling.window, memory_text(tiling.memory_bytes), memory_text(available)));
+}
+
+/// What the tiles of a run depend on: a run that goes on with them must have the same.
+nlohmann::json plan_json(const ReconstructJob& job, const scene::Survey& survey,
+                         const Tiling& tiling) {
+  auto files = nlohmann::json::array();
+  for (const fs::path& file : job.inputs(survey.user.scene)) {
+    std::error_code error;
+    files.push_back({{"path", fs::absolute(file).string()},
+                     {"bytes", fs::file_size(file, error)},
+                     {"changed", fs::last_write_time(file, error).time_since_epoch().count()}});
+  }
+  auto shifts = nlohmann::json::array();
+  if (survey.user.pointing)
+    for (const rpc::Pixel& s : survey.user.pointing->shifts) shifts.push_back({s.x, s.y});
+  const rpc::LocalFrame& frame = survey.user.scene.frame;
+  const reconstruct::Grid& grid = tiling.grid;
+  return {{"config", job.record.json()["config"]},
+          {"inputs", files},
+          {"version", program_version()},
+          {"git", program_git_hash()},
+          {"isa", isa_name(active_isa())},
+          {"zone", frame.zone.epsg()},
+          {"origin", {frame.easting0, frame.northing0, frame.h0}},
+          {"z_range", {survey.user.scene.z_range.low, survey.user.scene.z_range.high}},
+          {"shifts", shifts},
+          {"grid", {grid.east, grid.north, grid.step, grid.height, grid.width}},
+          {"tiles", {tiling.rows, tiling.columns, tiling.overlap, tiling.window}}};
+}
+
+/// The most surfels that one tile may have, 0 for all: its share of those of the whole.
+Index surfels_of_tile(const Tiling& tiling, const Tile& tile, Index most) {
+  const double cells = static_cast<double>(tiling.grid.width * tiling.grid.height);
+  if (most == 0 && cells > kLargeCells) most = static_cast<Index>(kLargeCells);
+  if (most == 0) return 0;
+  const double share =
+      static_cast<double>(tile.core.width()) * static_cast<double>(tile.core.height()) / cells;
+  return std::max<Index>(1, static_cast<Index>(static_cast<double>(most) * share));
+}
+
+/// Makes the tiles that are not there yet. While one is worked on the windows of the next are read
+/// and the one before is written.
+class TileMaker {
+ public:
+  TileMaker(ReconstructJob& job, const scene::Survey& survey, const Tiling& tiling,
+            const Wanted& wanted, TileStore& store)
+      : job_(job), survey_(survey), tiling_(tiling), wanted_(wanted), store_(store) {}
+
+  /// returns  what became of every tile
+  std::vector<TileRecord> run() {
+    std::vector<TileRecord> records(tiling_.tiles.size());
+    std::vector<std::size_t> left;
+    for (std::size_t k = 0; k < tiling_.tiles.size(); ++k)
+      if (auto found = store_.find(tiling_.tiles[k]))
+        records[k] = *found;
+      else
+        left.push_back(k);
+    if (left.size() < records.size())
+      job_.progress.note(fmt::format("{} of {} tiles are there already",
+                                     records.size() - left.size(), records.size()));
+    std::future<scene::WindowedScene> ahead;
+    if (!left.empty()) ahead = read(left[0]);
+    for (std::size_t n = 0; n < left.size(); ++n) {
+      const scene::WindowedScene part = ahead.get();
+      if (n + 1 < left.size()) ahead = read(left[n + 1]);
+      done_ = n, all_ = left.size(), first_ = records.size() - left.size();
+      records[left[n]] = make(tiling_.tiles[left[n]], part);
+    }
+    if (written_.valid()) written_.get();
+    return records;
+  }
+
+ private:
+  std::future<scene::WindowedScene> read(std::size_t k) const {
+    return std::async(std::launch::async, [this, k] {
+      const reconstruct::Ground ground = tiling_.grid_of(tiling_.tiles[k].all).ground();
+      const scene::Scene& whole = survey_.user.scene;
+      if (!wanted_.meets(ground, whole.frame)) return scene::WindowedScene{};
+      return scene::read_windows(survey_, ground, whole.z_range);
+    });
+  }
+
+  void report(double part) const {
+    stop_if_interrupted();
+    job_.progress.update(
+        "tiles", (1 - kAssembly) * (static_cast<double>(done_) + part) / static_cast<double>(all_),
+        fmt::format("tile {} of {}", first_ + done_ + 1, first_ + all_));
+  }
+
+  TileRecord make(const Tile& tile, const scene::WindowedScene& part) {
+    const auto start = Clock::now();
+    report(0);
+    reconstruct::ReconstructOptions how = job_.how();
+    how.resolution = tiling_.grid.step;
+    how.progress = [&](const std::string& stage, double fraction) {
+      report(stage == "surface" ? 0.8 + 0.1 * fraction : 0);
+    };
+    TileRecord record;
+    auto surface = std::make_shared<reconstruct::TileSurface>();
+    try {
+      *surface = reconstruct::reconstruct_tile(job_.networks.model, part, tiling_, tile, how);
+    } catch (const IoError&) {
+      throw;
+    } catch (const Error& e) {
+      // It is not put down, so that --resume tries it again.
+      job_.warnings.add(reconstruct::Warning{
+          "tile_failed", fmt::format("tile {} {}: {}", tile.row, tile.column, e.what())});
+      record.status = "failed", record.error = e.what();
+      record.seconds = seconds_since(start);
+      return record;
+    }
+    if (!surface->empty) {
+      record.status = "done";
+      record.found = surface->found, record.expected = surface->expected;
+      record.window = surface->window, record.z_range = surface->z_range;
+      record.camera_fit_max_px = surface->camera_fit_max_px;
+      if (!surface->surfels.means.empty()) {
+        const Index most = surfels_of_tile(tiling_, tile, job_.options.max_surfels);
+        if (most > 0) surface->surfels = splat::thinned(surface->surfels, most);
+        record.surfels = surface->surfels.means.dim(0);
+      }
+    }
+    record.seconds = seconds_since(start);
+    if (written_.valid()) written_.get();
+    written_ = std::async(std::launch::async,
+                          [this, &tile, record, surface] { store_.save(tile, record, *surface); });
+    return record;
+  }
+
+  ReconstructJob& job_;
+  const scene::Survey& survey_;
+  const Tiling& tiling_;
+  const Wanted& wanted_;
+  TileStore& store_;
+  std::future<void> written_;
+  std::size_t done_ = 0, all_ = 0, first_ = 0;  ///< of the tiles that are left, and those before
+};
+
+/// What became of all tiles. Of a run that is stopped it says that they are kept.
+std::vector<TileRecord> made_tiles(ReconstructJob& job, const scene::Survey& survey,
+                                   const Tiling& tiling, const Wanted& wanted, TileStore& store) {
+  try {
+    return TileMaker(job, survey, tiling, wanted, store).run();
+  } catch (...) {
+    if (store.any())
+      job.progress.note("finished tiles are kept in " + store.path().string() +
+                        "; the same command with --resume goes on with them");
+    throw;
+  }
+}
+
+/// The table of tiles in the record.
+nlohmann::ordered_json table_json(const Tiling& tiling, const std::vector<TileRecord>& records,
+                                  const rpc::LocalFrame& frame) {
+  auto table = nlohmann::ordered_json::array();
+  for (std::size_t k = 0; k < records.size(); ++k) {
+    const TileRecord& r = records[k];
+    const Tile& tile = tiling.tiles[k];
+    const reconstruct::Ground g = tiling.grid_of(tile.core).ground();
+    nlohmann::ordered_json row{
+        {"row", tile.row},
+        {"column", tile.column},
+        {"ground",
+         {g.x0 + frame.easting0, g.y0 + frame.northing0, g.x1 + frame.easting0,
+          g.y1 + frame.northing0}},
+        {"status", r.status},
+        {"seconds", r.seconds},
+        {"completeness",
+         r.expected > 0 ? static_cast<double>(r.found) / static_cast<double>(r.expected) : 0.0}};
+    if (r.status == "done") {
+      const rpc::HeightRange heights = frame.heights_from_z(r.z_range);
+      row["height_range_searched"] = {heights.low, heights.high};
+      row["window"] = r.window, row["surfels"] = r.surfels;
+    }
+    if (!r.error.empty()) row["error"] = r.error;
+    table.push_back(std::move(row));
+  }
+  return table;
+}
+
+/// What is said of the surface: counts of the tiles and what putting them together has found.
+SurfaceFacts facts_of(const Tiling& tiling, const std::vector<TileRecord>& records,
+                      const TiledSurface& made, const rpc::LocalFrame& frame) {
+  SurfaceFacts facts;
+  Index found = 0, expected = 0;
+  rpc::HeightRange searched{INFINITY, -INFINITY};
+  for (const TileRecord& r : records) {
+    found += r.found, expected += r.expected, facts.surfels += r.surfels;
+    facts.camera_fit_max_px = std::max(facts.camera_fit_max_px, r.camera_fit_max_px);
+    if (r.status != "done") continue;
+    searched = {std::min(searched.low, r.z_range.low), std::max(searched.high, r.z_range.high)};
+    ++facts.tiles;
+  }
+  facts.completeness =
+      expected > 0 ? static_cast<double>(found) / static_cast<double>(expected) : 0;
+  facts.resolution = tiling.grid.step;
+  facts.mean_confidence = made.mean_confidence;
+  facts.rows = tiling.grid.height, facts.columns = tiling.grid.width;
+  facts.searched = frame.heights_from_z(searched);
+  facts.heights = made.heights;
+  facts.planned_memory_bytes = tiling.memory_bytes;
+  return facts;
+}
+
+/// What the warnings of a surface and its pictures are made of: a reduced copy.
+reconstruct::Reconstruction overview_of(const TiledSurface& made, const SurfaceFacts& facts,
+                                        const scene::Scene& scene) {
+  reconstruct::Reconstruction out;
+  out.frame = scene.frame, out.z_range = scene.frame.z_from_heights(facts.searched);
+  out.dsm = made.dsm, out.confidence = made.confidence;
+  out.completeness = facts.completeness, out.camera_fit_max_px = facts.camera_fit_max_px;
+  return out;
+}
+
+/// The reduced copies under the cameras of the images, whose pixels are the ones to judge.
+scene::UserScene with_whole_cameras(const scene::Survey& survey) {
+  scene::UserScene out = survey.user;
+  for (std::size_t i = 0; i < survey.views.size(); ++i)
+    out.scene.views[i].rpc = survey.views[i].rpc;
+  return out;
+}
+
+void write_pictures(const OutputFolder& folder, const TiledSurface& made,
+                    const scene::Scene& copies) {
+  const rpc::GeoGrid grid = geo_grid(made.dsm, copies.frame);
+  const ColourScale heights = height_scale(made.dsm.z, copies.frame.h0), sure = confidence_scale();
+  write_map(folder / "height.png", height_picture(made.dsm.z), &heights, grid);
+  write_map(folder / "hillshade.png", hillshade_picture(made.dsm.z, made.dsm.step), nullptr, grid);
+  write_map(folder / "confidence.png", confidence_picture(made.confidence), &sure, grid);
+  fs::create_directories(folder / "views");
+  for (const scene::View& view : copies.views) {
+    stop_if_interrupted();
+    write_png(folder / "views" / (view.name + "_source.png"), view.rgb);
+  }
+}
+
+}  // namespace
+
+void reconstruct_tiles(ReconstructJob& job) {
+  const ReconstructCommand& options = job.options;
+  Progress& progress = job.progress;
+  rpc::limit_block_cache(kBlockCache);
+  const double max_memory =
+      options.max_memory.empty() ? 0 : memory_from_text(options.max_memory, "max_memory");
+  std::optional<TileStore> store;
+  if (!options.dry_run) store.emplace(options.out, options.resume, options.overwrite);
+  progress.update("read", 0);
+  const scene::Survey survey = scene::survey_views(
+      options.images, options.image_dirs, job.height_range, stop_if_interrupted, job.rules);
+  const scene::Scene& scene = survey.user.scene;
+  const Wanted wanted = wanted_ground(options, scene.frame);
+  const Tiling tiling = reconstruct::plan_tiles(job.networks.model.config(), survey, job.how(),
+                                                wanted.ground, max_memory);
+  if (store)
+    store->begin(plan_json(job, survey, tiling));  // before files are read for their hashes
+  job.note_scene(with_whole_cameras(survey));
+  if (options.dry_run) return print_plan(tiling, survey);
+  check_memory(tiling);
+  store->note_work(job.staged->path());
+  progress.update("read", 1);
+
+  const auto start = Clock::now();
+  const std::vector<TileRecord> records = made_tiles(job, survey, tiling, wanted, *store);
+  release_tensor_cache();  // the tiles' memory; what follows needs none of its shape
+  OutputFolder& folder = *job.staged;
+  const TiledSurface made = write_tiled_surface(
+      folder.path(), tiling, records, *store, scene, survey.colour, datum_of(options.geoid),
+      wanted.polygons, [&](double share) {
+        stop_if_interrupted();
+        progress.update("tiles", 1 - kAssembly + kAssembly * share, "putting them together");
+      });
+  if (!(made.heights.low <= made.heights.high)) refuse_no_heights(options.images);
+  SurfaceFacts facts = facts_of(tiling, records, made, scene.frame);
+  facts.seconds = seconds_since(start);
+  facts.datum = datum_of(options.geoid);
+  const reconstruct::Reconstruction overview = overview_of(made, facts, scene);
+  job.warnings.add(reconstruct::surface_warnings(overview));
+  if (survey.user.pointing) scene::write_pointing(folder / "pointing.json", *survey.user.pointing);
+  progress.update("pictures", 0);
+  job.warnings.attempt("pictures", [&] { write_pictures(folder, made, scene); });
+  progress.note(
+      "the surface of large images is not rendered into their cameras; satsurf render "
+      "does it for one");
+  if (options.mesh == MeshKind::tsdf)
+    job.warnings.add(reconstruct::Warning{
+        "mesh_left_out",
+        "no mesh: surfaces that are made in tiles have none; --mesh none says so"});
+  job.record.results() = results_json(facts, survey.user);
+  job.record.results()["tile_table"] = table_json(tiling, records, scene.frame);
+  if (options.report == ReportKind::html)
+    job.warnings.attempt("report", [&] {
+      const scene::UserScene whole = with_whole_cameras(survey);
+      ReportedSurface surface{.made = overview, .user = whole};
+      for (const scene::SurveyedView& view : survey.views)
+        surface.sizes.push_back({view.width, view.height});
+      write_report(folder / "report.html", report_of(surface, job.record));
+    });
+  job.record.save(folder / "run.json");
+  folder.commit();
+  // What has failed is tried again by --resume.
+  if (std::ranges::none_of(records, [](const TileRecord& r) { return r.status == "failed"; }))
+    store->remove();
+  print_summary(facts, scene, job.record.seconds(), options.out);
+  check_coverage(facts.completeness, options);
+}
+
+}  // namespace satsurf::app

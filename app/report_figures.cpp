@@ -1,0 +1,371 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/report_figures.h"
+
+#include "satsurf/app/preview.h"
+#include "satsurf/app/svg.h"
+#include "satsurf/core/error.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include <fmt/format.h>
+#include <openssl/evp.h>
+
+namespace satsurf::app {
+namespace {
+
+constexpr Index kMostPixels = 1200, kMostVertices = 255;  // 255 x 255 fit into 16-bit numbers
+constexpr double kChartWidth = 440;                       // px, as on a phone
+constexpr const char* kNorth =
+    "<svg class=\"north\" viewBox=\"0 0 24 36\" aria-label=\"North is up\"><path d=\"M12 1 19 21 "
+    "12 "
+    "17 5 21Z\"/><text x=\"12\" y=\"35\">N</text></svg>";
+
+std::string base64(const std::string& bytes) {
+  std::string out(4 * ((bytes.size() + 2) / 3) + 1, '\0');
+  const int length = EVP_EncodeBlock(reinterpret_cast<unsigned char*>(out.data()),
+                                     reinterpret_cast<const unsigned char*>(bytes.data()),
+                                     static_cast<int>(bytes.size()));
+  out.resize(static_cast<std::size_t>(length));
+  return out;
+}
+
+/// A raster made coarser: means of the known cells of k x k, the lower right ones of what is left.
+Tensor coarser(const Tensor& values, Index k) {
+  if (k <= 1) return values;
+  const bool one = values.rank() == 2;
+  const Index C = one ? 1 : values.dim(0), H = values.dim(one ? 0 : 1), W = values.dim(one ? 1 : 2),
+              h = (H + k - 1) / k, w = (W + k - 1) / k;
+  Tensor out(one ? Shape{h, w} : Shape{C, h, w}, std::numeric_limits<float>::quiet_NaN());
+  for (Index c = 0; c < C; ++c)
+    for (Index i = 0; i < h; ++i)
+      for (Index j = 0; j < w; ++j) {
+        double sum = 0, known = 0;
+        for (Index y = i * k; y < std::min(H, (i + 1) * k); ++y)
+          for (Index x = j * k; x < std::min(W, (j + 1) * k); ++x)
+            if (const float v = values[(c * H + y) * W + x]; std::isfinite(v))
+              sum += static_cast<double>(v), known += 1;
+        if (known > 0) out[(c * h + i) * w + j] = static_cast<float>(sum / known);
+      }
+  return out;
+}
+
+/// How many cells become one so that no side has more than `most`.
+Index coarseness(const Report& report, Index most) {
+  return (std::max(report.dsm.z.dim(0), report.dsm.z.dim(1)) + most - 1) / most;
+}
+
+std::vector<float> known_heights(const Report& report) {
+  std::vector<float> known;
+  for (const float v : report.dsm.z.values())
+    if (std::isfinite(v)) known.push_back(v);
+  if (known.empty())
+    throw Error("report: no cell of the surface has a height, expected some to show");
+  return known;
+}
+
+/// The colours of a scale with numbers below.
+/// least_step  between two of them
+std::string legend(const ColourScale& scale, double least_step) {
+  std::string stops;
+  for (const auto& c : scale.colours)
+    stops += fmt::format("{}rgb({:.0f} {:.0f} {:.0f})", stops.empty() ? "" : ",", 255 * c[0],
+                         255 * c[1], 255 * c[2]);
+  std::string out = "<div class=\"bar\" style=\"background:linear-gradient(to right," + stops +
+                    ")\"></div>\n<div class=\"ticks\">";
+  const double span = scale.high - scale.low, step = std::max(tick_step(1.6 * span), least_step);
+  for (double v = std::ceil(scale.low / step - 1e-6) * step; v <= scale.high + 1e-6 * step;
+       v += step) {
+    const double at = 100 * (v - scale.low) / span;
+    out += fmt::format("<span style=\"left:{:.2f}%\"{}>{:.6g}</span>", at,
+                       at < 4    ? " class=\"first\""
+                       : at > 96 ? " class=\"last\""
+                                 : "",
+                       std::abs(v) < 1e-9 * step ? 0.0 : v);
+  }
+  return out + "</div>\n";
+}
+
+/// A map: its picture with a scale bar and north, and what its colours mean.
+struct Map {
+  std::string id, title, about;  ///< `id` names it to the script
+  bool drape = true;             ///< whether the surface to turn may wear it
+  bool exact = false;            ///< whether it shows whole numbers, whose colours stay as they are
+};
+std::string figure(const Map& map, const Tensor& picture, double metres_per_pixel,
+                   const ColourScale* scale) {
+  const Index H = picture.dim(1), W = picture.dim(2);
+  const double extent = metres_per_pixel * static_cast<double>(W),
+               length = round_length(0.6 * extent);
+  const std::string data = map.exact ? "png;base64," + base64(png_bytes(picture))
+                                     : "jpeg;base64," + base64(jpeg_bytes(picture));
+  std::string out = fmt::format("<figure>\n<figcaption><b>{}</b><span>{}</span></figcaption>\n",
+                                map.title, map.about);
+  out += fmt::format(
+      "<div class=\"map\"><img id=\"map-{}\"{} alt=\"{}\" width=\"{}\" height=\"{}\" "
+      "src=\"data:image/{}\">{}",
+      map.id, map.drape ? " data-drape=\"" + map.title + "\"" : "", map.title, W, H, data, kNorth);
+  out += fmt::format("<div class=\"scale\" style=\"width:{:.3f}%\">{}</div></div>\n",
+                     100 * length / extent, length_text(length));
+  if (scale != nullptr) out += legend(*scale, map.exact ? 1 : 0);
+  return out + "</figure>\n";
+}
+
+std::string chart(double width, double height, const std::string& label,
+                  const std::string& content) {
+  return fmt::format(
+      "<svg class=\"chart\" viewBox=\"0 0 {:.0f} {:.0f}\" font-size=\"13\" role=\"img\" "
+      "aria-label=\"{}\">\n{}</svg>\n",
+      width, height, escaped(label), content);
+}
+
+std::string captioned(const std::string& title, const std::string& about,
+                      const std::string& content) {
+  return "<figure>\n<figcaption><b>" + title + "</b><span>" + about + "</span></figcaption>\n" +
+         content + "</figure>\n";
+}
+
+}  // namespace
+
+const char* image_colour(std::size_t number) {
+  // Okabe and Ito 2008, told apart by most people; the black one left out
+  constexpr std::array<const char*, 7> kColours{"#0072b2", "#e69f00", "#009e73", "#d55e00",
+                                                "#cc79a7", "#56b4e9", "#b8a800"};
+  return kColours[number % kColours.size()];
+}
+
+std::string map_figures(const Report& report) {
+  const Index k = coarseness(report, kMostPixels);
+  const double step = report.dsm.step * static_cast<double>(k);
+  const Tensor z = coarser(report.dsm.z, k);
+  const ColourScale heights = height_scale(z, report.frame.h0);
+  std::string out;
+  if (!report.ortho.empty())
+    out += figure({"ortho", "Orthophoto", "each cell from the steepest image that sees it"},
+                  coarser(report.ortho, k), step, nullptr);
+  out += figure(
+      {"heights", "Heights", "m above the ellipsoid; 2 % of the cells lie beyond either end"},
+      height_picture(z), step, &heights);
+  out += figure({"hillshade", "Hillshade", "lit from the north-west, 45&deg; high"},
+                hillshade_picture(z, step), step, nullptr);
+  if (!report.confidence.empty()) {
+    const ColourScale scale = confidence_scale();
+    out += figure({"confidence", "Confidence",
+                   "the probability that the surface is there, within half a pixel of parallax"},
+                  confidence_picture(coarser(report.confidence, k)), step, &scale);
+  }
+  if (!report.sigma.empty()) {
+    const Tensor sigma = coarser(report.sigma, k);
+    const ColourScale scale = sigma_scale(sigma);
+    out += figure({"sigma", "Expected error", "m; 19 heights in 20 are within twice as much"},
+                  sigma_picture(sigma), step, &scale);
+  }
+  if (!report.views.empty()) {
+    const auto most = static_cast<Index>(report.images.size());
+    const ColourScale scale = count_scale(most);
+    Tensor views = coarser(report.views, k);
+    for (float& v : views.values()) v = std::round(v);
+    out +=
+        figure({"views", "Coverage", "how many images see the cell; grey: no height", true, true},
+               count_picture(views, most), step, &scale);
+  }
+  return out;
+}
+
+std::string histogram_figure(const Report& report) {
+  constexpr std::size_t kBins = 48;
+  constexpr double kLeft = 44, kTop = 12, kHeight = 190, kBelow = 46,
+                   kWidth = kChartWidth - kLeft - 12;
+  const std::vector<float> known = known_heights(report);
+  const auto [least, most] = std::ranges::minmax(known);
+  const double low = static_cast<double>(least),
+               span = std::max(static_cast<double>(most) - low, 1e-3);
+  std::array<double, kBins> share{};
+  for (const float v : known) {
+    const auto bin = static_cast<std::size_t>((static_cast<double>(v) - low) / span * kBins);
+    share[std::min(bin, kBins - 1)] += 100 / static_cast<double>(known.size());
+  }
+  const double highest = *std::ranges::max_element(share), step = tick_step(highest),
+               top = std::ceil(highest / step - 1e-9) * step, bottom = kTop + kHeight;
+  std::string out;
+  for (int n = 0; n * step < top * (1 + 1e-9); ++n) {
+    const double y = bottom - n * step / top * kHeight;
+    out += line(kLeft, y, kLeft + kWidth, y, "none", 1, "class=\"rule\"");
+    out += text_at(kLeft - 6, y + 4, "end", fmt::format("{:g}", n * step));
+  }
+  for (std::size_t n = 0; n < kBins; ++n)
+    out += fmt::format(
+        "<rect class=\"filled\" x=\"{:.1f}\" y=\"{:.1f}\" width=\"{:.1f}\" height=\"{:.1f}\"/>\n",
+        kLeft + kWidth * static_cast<double>(n) / kBins + 0.5, bottom - share[n] / top * kHeight,
+        kWidth / kBins - 1, share[n] / top * kHeight);
+  const double every = tick_step(1.25 * span), first = low + report.frame.h0;
+  for (double v = std::ceil(first / every) * every; v <= first + span; v += every)
+    out += text_at(kLeft + (v - first) / span * kWidth, bottom + 18, "middle",
+                   fmt::format("{:.6g}", v));
+  out += line(kLeft, bottom, kLeft + kWidth, bottom, "none", 1, "class=\"axis\"");
+  out +=
+      text_at(kLeft + kWidth / 2, bottom + 38, "middle", "m above the ellipsoid", "class=\"soft\"");
+  return captioned("Heights", "share of the cells, %",
+                   chart(kChartWidth, kTop + kHeight + kBelow, "Histogram of the heights", out));
+}
+
+std::string coverage_figure(const Report& report) {
+  constexpr double kRow = 30, kLeft = 92, kWidth = kChartWidth - kLeft - 62;
+  if (report.views.empty()) return {};
+  std::vector<double> cells(report.images.size() + 1);
+  double without = 0;
+  for (const float v : report.views.values())
+    if (std::isfinite(v))
+      cells[std::min(static_cast<std::size_t>(std::max(v, 0.F)), cells.size() - 1)] += 1;
+    else
+      without += 1;
+  const auto all = static_cast<double>(report.views.count());
+  std::string out;
+  double y = 4;
+  const auto row = [&](const std::string& name, double count) {
+    const double share = count / all;
+    out += text_at(kLeft - 8, y + 18, "end", name);
+    out += fmt::format(
+        "<rect class=\"filled\" x=\"{:.1f}\" y=\"{:.1f}\" width=\"{:.1f}\" height=\"20\"/>\n",
+        kLeft, y + 3, share * kWidth);
+    out += text_at(kLeft + share * kWidth + 6, y + 18, "start",
+                   count > 0 && share < 0.0005 ? "< 0.1 %" : fmt::format("{:.1f} %", 100 * share));
+    y += kRow;
+  };
+  for (std::size_t n = cells.size(); n-- > 0;)
+    row(n == 1 ? "1 image" : fmt::format("{} images", n), cells[n]);
+  row("no height", without);
+  return captioned("Coverage", "share of the grid by the number of images that see a cell",
+                   chart(kChartWidth, y + 4, "Coverage", out));
+}
+
+std::string footprint_figure(const Report& report) {
+  constexpr double kMargin = 16;
+  const double east = report.dsm.x0 + report.frame.easting0,
+               north = report.dsm.y0 + report.frame.northing0,
+               width = report.dsm.step * static_cast<double>(report.dsm.z.dim(1)),
+               height = report.dsm.step * static_cast<double>(report.dsm.z.dim(0));
+  double x0 = east, x1 = east + width, y0 = north - height, y1 = north;
+  for (const ReportImage& image : report.images)
+    for (const auto& [x, y] : image.footprint)
+      x0 = std::min(x0, x), x1 = std::max(x1, x), y0 = std::min(y0, y), y1 = std::max(y1, y);
+  const double scale = (kChartWidth - 2 * kMargin) / std::max(x1 - x0, y1 - y0),
+               drawn = (y1 - y0) * scale;
+  const auto at_x = [&](double x) { return kChartWidth / 2 + (x - (x0 + x1) / 2) * scale; };
+  const auto at_y = [&](double y) { return kMargin + (y1 - y) * scale; };
+  std::string out = fmt::format(
+      "<rect class=\"extent\" x=\"{:.1f}\" y=\"{:.1f}\" width=\"{:.1f}\" height=\"{:.1f}\"/>\n",
+      at_x(east), at_y(north), width * scale, height * scale);
+  for (std::size_t n = 0; n < report.images.size(); ++n) {
+    std::string points;
+    double sum_x = 0, sum_y = 0;
+    const scene::Polygon& ground = report.images[n].footprint;
+    if (ground.empty()) continue;
+    for (const auto& [x, y] : ground) {
+      points += fmt::format("{:.1f},{:.1f} ", at_x(x), at_y(y));
+      sum_x += x, sum_y += y;
+    }
+    out += fmt::format("<polygon points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"2\"/>\n",
+                       points, image_colour(n));
+    // numbers stand at corners of their own, for footprints lie on one another
+    const auto count = static_cast<double>(ground.size());
+    const auto& corner = ground[n % ground.size()];
+    const double x = at_x(corner[0] + 0.06 * (sum_x / count - corner[0])),
+                 y = at_y(corner[1] + 0.06 * (sum_y / count - corner[1]));
+    out += fmt::format("<circle cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"10\" fill=\"{}\"/>\n", x, y,
+                       image_colour(n));
+    out += text_at(x, y + 4.5, "middle", std::to_string(n + 1),
+                   "style=\"fill:#ffffff;font-weight:bold\"");
+  }
+  const double below = kMargin + drawn + 26, length = round_length(0.6 * (x1 - x0)),
+               px = length * scale;
+  out += line(kMargin, below, kMargin + px, below, "none", 3, "class=\"axis\"");
+  out += text_at(kMargin + px / 2, below - 7, "middle", length_text(length));
+  const double nx = kChartWidth - kMargin - 8;
+  out += fmt::format("<path class=\"filled\" d=\"M{0:.1f} {1:.1f} l6 17 l-6 -4 l-6 4 Z\"/>\n", nx,
+                     below - 18);
+  out += text_at(nx - 12, below, "end", "N");
+  return captioned("Footprints",
+                   fmt::format("at the middle height of the surface, UTM EPSG:{}; filled: the "
+                               "surface; numbers as in the table",
+                               report.frame.zone.epsg()),
+                   chart(kChartWidth, below + 10, "Footprints of the images", out));
+}
+
+std::string sky_figure(const Report& report) {
+  constexpr double kRadius = 165, kX = kChartWidth / 2, kY = kRadius + 24;
+  const auto place = [&](double from_zenith_deg, double azimuth_deg) -> std::array<double, 2> {
+    const double r = kRadius * from_zenith_deg / 90, a = azimuth_deg * M_PI / 180;
+    return {kX + r * std::sin(a), kY - r * std::cos(a)};
+  };
+  std::string out;
+  for (const int ring : {30, 60, 90}) {
+    out += fmt::format(
+        "<circle class=\"rule\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"{:.1f}\" fill=\"none\"/>\n", kX, kY,
+        kRadius * ring / 90);
+    out += text_at(kX + 4, kY + kRadius * ring / 90 - 4, "start", fmt::format("{}°", ring),
+                   "class=\"soft\"");
+  }
+  out += line(kX - kRadius, kY, kX + kRadius, kY, "none", 1, "class=\"rule\"");
+  out += line(kX, kY - kRadius, kX, kY + kRadius, "none", 1, "class=\"rule\"");
+  out +=
+      text_at(kX, kY - kRadius - 7, "middle", "N") + text_at(kX, kY + kRadius + 17, "middle", "S");
+  out += text_at(kX + kRadius + 7, kY + 5, "start", "E") +
+         text_at(kX - kRadius - 7, kY + 5, "end", "W");
+  for (std::size_t n = 0; n < report.images.size(); ++n) {
+    const ReportImage& image = report.images[n];
+    if (!image.sun_deg) continue;
+    const auto [x, y] = place(90 - (*image.sun_deg)[0], (*image.sun_deg)[1]);
+    for (int ray = 0; ray < 8; ++ray) {
+      const double c = std::cos(ray * M_PI / 4), s = std::sin(ray * M_PI / 4);
+      out += line(x + 11 * c, y + 11 * s, x + 16 * c, y + 16 * s, image_colour(n), 2);
+    }
+    out += fmt::format(
+        "<circle cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"9\" fill=\"none\" stroke=\"{}\" "
+        "stroke-width=\"2\"/>\n",
+        x, y, image_colour(n));
+    out += text_at(x, y + 4.5, "middle", std::to_string(n + 1));
+  }
+  for (std::size_t n = 0; n < report.images.size(); ++n) {
+    const auto [x, y] = place(report.images[n].off_nadir_deg, report.images[n].azimuth_deg);
+    out += fmt::format("<circle cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"10\" fill=\"{}\"/>\n", x, y,
+                       image_colour(n));
+    out += text_at(x, y + 4.5, "middle", std::to_string(n + 1),
+                   "style=\"fill:#ffffff;font-weight:bold\"");
+  }
+  return captioned("Satellites and suns",
+                   "as the ground sees them, the zenith in the middle; filled: satellites, with "
+                   "rays: suns",
+                   chart(kChartWidth, kY + kRadius + 24, "Satellites and suns", out));
+}
+
+std::string grid_json(const Report& report) {
+  const Index k = coarseness(report, kMostVertices);
+  const Tensor z = coarser(report.dsm.z, k);
+  const Index H = z.dim(0), W = z.dim(1);
+  double low = INFINITY, high = -INFINITY;
+  for (const float v : z.values())
+    if (std::isfinite(v))
+      low = std::min(low, static_cast<double>(v)), high = std::max(high, static_cast<double>(v));
+  const double span = std::max(high - low, 1e-3), step = report.dsm.step * static_cast<double>(k);
+  std::string bytes;
+  for (const float v : z.values()) {
+    const auto q = std::isfinite(v)
+                       ? static_cast<std::uint16_t>(std::lround(
+                             65534 * std::clamp((static_cast<double>(v) - low) / span, 0.0, 1.0)))
+                       : std::uint16_t{65535};
+    bytes += static_cast<char>(q & 255), bytes += static_cast<char>(q >> 8);
+  }
+  return fmt::format(
+      "{{\"width\":{},\"height\":{},\"east\":{:.3f},\"north\":{:.3f},\"low\":{:.3f},\"high\":{:.3f}"
+      ","
+      "\"heights\":\"{}\"}}",
+      W, H, step * static_cast<double>(W), step * static_cast<double>(H), low + report.frame.h0,
+      low + span + report.frame.h0, base64(bytes));
+}
+
+}  // namespace satsurf::app

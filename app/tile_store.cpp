@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/tile_store.h"
+
+#include "satsurf/core/atomic_file.h"
+#include "satsurf/core/error.h"
+#include "satsurf/core/fields_json.h"
+#include "satsurf/core/files.h"
+#include "satsurf/core/safetensors.h"
+#include "satsurf/splat/ply.h"
+
+#include <string>
+#include <system_error>
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+namespace satsurf::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kPlan = "plan.json";
+
+/// The first place where two values differ, and how; empty where they do not.
+std::string difference(const nlohmann::json& was, const nlohmann::json& is,
+                       const std::string& where) {
+  if (was == is) return "";
+  if (was.is_object() && is.is_object()) {
+    for (const auto& [key, value] : is.items())
+      if (const std::string text =
+              difference(was.value(key, nlohmann::json()), value, where + "/" + key);
+          !text.empty())
+        return text;
+    for (const auto& [key, value] : was.items())
+      if (!is.contains(key)) return where + "/" + key + " was " + value.dump() + " and is missing";
+  }
+  if (was.is_array() && is.is_array() && was.size() == is.size())
+    for (std::size_t i = 0; i < is.size(); ++i)
+      if (const std::string text = difference(was[i], is[i], where + "/" + std::to_string(i));
+          !text.empty())
+        return text;
+  return where + " was " + was.dump().substr(0, 200) + " and is " + is.dump().substr(0, 200);
+}
+
+fs::path folder_beside(const fs::path& out) {
+  fs::path path = fs::weakly_canonical(fs::absolute(out));
+  if (!path.has_filename()) path = path.parent_path();
+  path += ".tiles";
+  return path;
+}
+
+}  // namespace
+
+TileStore::TileStore(const fs::path& out, bool resume, bool overwrite)
+    : folder_(folder_beside(out)) {
+  const bool there = is_file(folder_ / kPlan);
+  if (path_exists(folder_) && !there && !(is_folder(folder_) && fs::is_empty(folder_)) &&
+      !is_file(folder_ / "lock"))
+    throw IoError("out: " + folder_.string() +
+                  " is in the way, expected nothing or the tiles of a stopped run there");
+  if (there && !resume && !overwrite)
+    throw IoError("out: " + folder_.string() +
+                  " holds the tiles of a stopped run, expected --resume to go on with them or "
+                  "--overwrite to begin anew");
+  std::error_code error;
+  fs::create_directories(folder_, error);
+  lock_ = ::open((folder_ / "lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+  if (lock_ < 0) throw IoError("out: " + folder_.string() + " cannot be written");
+  if (::flock(lock_, LOCK_EX | LOCK_NB) != 0) {
+    ::close(lock_);
+    throw IoError("out: " + folder_.string() +
+                  " is being worked on by another process, expected to have it alone");
+  }
+  if (there && !resume)
+    for (const auto& entry : fs::directory_iterator(folder_, error))
+      if (entry.path().filename() != "lock") fs::remove(entry.path(), error);
+}
+
+TileStore::~TileStore() {
+  if (lock_ < 0) return;
+  std::error_code error;
+  if (!any()) fs::remove_all(folder_, error);
+  ::close(lock_);
+}
+
+void TileStore::begin(const nlohmann::json& plan) {
+  const fs::path file = folder_ / kPlan;
+  if (!is_file(file)) return atomic_write(file, plan.dump(1) + '\n');
+  // as it was written, so that numbers compare as they were stored
+  const std::string text = difference(load_json_file(file), parse_json(plan.dump(), "plan"), "");
+  if (!text.empty())
+    throw ConfigError("resume: " + folder_.string() + " holds the tiles of another run: " + text +
+                      ", expected the same; --overwrite without --resume begins anew");
+}
+
+bool TileStore::any() const {
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(folder_, error))
+    if (entry.path().filename().string().starts_with("tile_")) return true;
+  return false;
+}
+
+void TileStore::note_work(const fs::path& work) {
+  const fs::path file = folder_ / "work";
+  if (is_file(file)) {
+    // A folder of no other name is removed, whatever the file says.
+    const fs::path left =
+        folder_.parent_path() / fs::path(read_text_file(file, "a folder")).filename();
+    std::error_code error;
+    if (left.filename().string().starts_with(folder_.stem().string() + ".partial-") && left != work)
+      fs::remove_all(left, error);
+  }
+  atomic_write(file, work.filename().string());
+}
+
+fs::path TileStore::file_of(const reconstruct::Tile& tile) const {
+  return folder_ / fmt::format("tile_{:04}_{:04}.safetensors", tile.row, tile.column);
+}
+
+fs::path TileStore::surfels_of(const reconstruct::Tile& tile) const {
+  return folder_ / fmt::format("tile_{:04}_{:04}.ply", tile.row, tile.column);
+}
+
+std::optional<TileRecord> TileStore::find(const reconstruct::Tile& tile) const {
+  const fs::path file = folder_ / (file_of(tile).stem().string() + ".json");
+  if (!is_file(file)) return std::nullopt;
+  const nlohmann::json j = load_json_file(file);
+  TileRecord out;
+  try {
+    out.status = j.at("status");
+    out.seconds = j.at("seconds"), out.found = j.at("found"), out.expected = j.at("expected");
+    out.window = j.at("window"), out.surfels = j.at("surfels");
+    out.z_range = {j.at("z_range").at(0), j.at("z_range").at(1)};
+    out.camera_fit_max_px = j.at("camera_fit_max_px");
+  } catch (const nlohmann::json::exception& e) {
+    throw IoError(file.string() + ": " + e.what() + ", expected the record of a tile");
+  }
+  return out;
+}
+
+void TileStore::save(const reconstruct::Tile& tile, const TileRecord& record,
+                     const reconstruct::TileSurface& surface) {
+  if (record.surfels > 0) splat::write_ply(surfels_of(tile), surface.surfels, {});
+  if (!surface.empty) {
+    TensorFile file;
+    file.tensors = {
+        {"heights", surface.heights}, {"confidence", surface.confidence}, {"views", surface.views}};
+    if (!surface.sigma.empty()) file.tensors["sigma"] = surface.sigma;
+    if (!surface.ortho.empty()) file.tensors["ortho"] = surface.ortho;
+    save_safetensors(file_of(tile), file);
+  }
+  // The record comes last: with it the tile is finished.
+  const nlohmann::json j{{"status", record.status},
+                         {"seconds", record.seconds},
+                         {"found", record.found},
+                         {"expected", record.expected},
+                         {"window", record.window},
+                         {"surfels", record.surfels},
+                         {"z_range", {record.z_range.low, record.z_range.high}},
+                         {"camera_fit_max_px", record.camera_fit_max_px}};
+  atomic_write(folder_ / (file_of(tile).stem().string() + ".json"), j.dump() + '\n');
+}
+
+reconstruct::TileSurface TileStore::load(const reconstruct::Tile& tile) const {
+  const fs::path path = file_of(tile);
+  TensorFile file = load_safetensors(path);
+  reconstruct::TileSurface out;
+  out.empty = false;
+  const auto take = [&](const char* name, bool needed) {
+    const auto found = file.tensors.find(name);
+    if (found != file.tensors.end()) return found->second;
+    if (needed) throw IoError(path.string() + ": no " + name + ", expected those of a tile");
+    return Tensor();
+  };
+  out.heights = take("heights", true), out.confidence = take("confidence", true);
+  out.views = take("views", true), out.sigma = take("sigma", false);
+  out.ortho = take("ortho", false);
+  return out;
+}
+
+void TileStore::remove() {
+  std::error_code error;
+  fs::remove_all(folder_, error);
+  ::close(lock_);
+  lock_ = -1;
+}
+
+}  // namespace satsurf::app

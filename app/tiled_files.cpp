@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/tiled_files.h"
+
+#include "satsurf/app/products.h"
+#include "satsurf/app/surface_files.h"
+#include "satsurf/reconstruct/feather.h"
+#include "satsurf/rpc/geoid.h"
+#include "satsurf/splat/ply.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <string>
+#include <utility>
+
+namespace satsurf::app {
+namespace {
+
+namespace fs = std::filesystem;
+using reconstruct::Tile;
+using reconstruct::Tiling;
+
+constexpr Index kOverview = 4096;  // cells a side
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
+/// Means of square blocks of cells that come row by row.
+class Overview {
+ public:
+  Overview(Index height, Index width)
+      : width_(width),
+        block_(std::max<Index>(1, (std::max(height, width) + kOverview - 1) / kOverview)),
+        columns_((width + block_ - 1) / block_),
+        sum_(static_cast<std::size_t>((height + block_ - 1) / block_ * columns_)),
+        count_(sum_.size()) {}
+
+  void append(const Tensor& rows) {
+    for (Index i = 0; i < rows.count(); ++i) {
+      if (!std::isfinite(rows[i])) continue;
+      const auto at =
+          static_cast<std::size_t>((next_ + i / width_) / block_ * columns_ + i % width_ / block_);
+      sum_[at] += static_cast<double>(rows[i]), ++count_[at];
+    }
+    next_ += rows.dim(0);
+  }
+  Index block() const { return block_; }
+  Tensor means() const {
+    Tensor out({static_cast<Index>(sum_.size()) / columns_, columns_}, kNan);
+    for (std::size_t i = 0; i < sum_.size(); ++i)
+      if (count_[i] > 0)
+        out[static_cast<Index>(i)] = static_cast<float>(sum_[i] / static_cast<double>(count_[i]));
+    return out;
+  }
+
+ private:
+  Index width_, block_, columns_, next_ = 0;
+  std::vector<double> sum_;
+  std::vector<Index> count_;
+};
+
+/// Makes what lies outside of the polygons unknown.
+/// values  [n W], from row y0 of the grid on
+void leave_out(Tensor& values, Index y0, const reconstruct::Grid& grid,
+               const rpc::LocalFrame& frame, const std::optional<rpc::Area>& polygons) {
+  if (!polygons) return;
+  const bool planes = values.rank() == 3;
+  const Index C = planes ? values.dim(0) : 1, H = values.dim(planes ? 1 : 0),
+              W = values.dim(planes ? 2 : 1);
+  for (Index y = 0; y < H; ++y) {
+    const std::vector<double> sides = polygons->crossings(
+        grid.north + frame.northing0 - (static_cast<double>(y0 + y) + 0.5) * grid.step);
+    std::size_t passed = 0;
+    for (Index x = 0; x < W; ++x) {
+      const double east = grid.east + frame.easting0 + (static_cast<double>(x) + 0.5) * grid.step;
+      while (passed < sides.size() && sides[passed] <= east) ++passed;
+      if (passed % 2 == 0)
+        for (Index c = 0; c < C; ++c) values[(c * H + y) * W + x] = kNan;
+    }
+  }
+}
+
+/// Puts the core of a tile into rows of the whole.
+/// rows  [C n W]
+void put_core(Tensor& rows, const Tensor& core, const Tile& tile) {
+  const Index C = rows.dim(0), n = rows.dim(1), W = rows.dim(2), w = tile.core.width();
+  for (Index c = 0; c < C; ++c)
+    for (Index y = 0; y < n; ++y)
+      std::copy_n(core.data() + (c * n + y) * w, w, rows.data() + (c * n + y) * W + tile.core.x0);
+}
+
+/// Where the rows of a grid from y0 on lie.
+rpc::GeoGrid geo_rows(const reconstruct::Grid& grid, const rpc::LocalFrame& frame, Index y0) {
+  return {frame.zone.epsg(), grid.east + frame.easting0,
+          grid.north + frame.northing0 - static_cast<double>(y0) * grid.step, grid.step};
+}
+
+}  // namespace
+
+TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
+                                 const std::vector<TileRecord>& records, const TileStore& store,
+                                 const scene::Scene& scene, bool colour, rpc::HeightDatum datum,
+                                 const std::optional<rpc::Area>& polygons,
+                                 const std::function<void(double)>& progress) {
+  const rpc::LocalFrame& frame = scene.frame;
+  const reconstruct::Grid& grid = tiling.grid;
+  const SurfaceTags tags = surface_tags(scene, datum);
+  const Index bands = colour ? 3 : 1;
+  // Rasters of the surface that grow row by row.
+  const auto growing = [&](const char* name, Index channels, const rpc::GeoTags& of) {
+    return std::make_unique<rpc::GeoRasterRows>(folder / name, channels, grid.height, grid.width,
+                                                geo_rows(grid, frame, 0), signed_tags(of));
+  };
+  const auto dsm = growing("dsm.tif", 1, tags.heights),
+             confidence = growing("confidence.tif", 1, tags.confidence),
+             views = growing("views.tif", 1, tags.views),
+             ortho = growing("ortho.tif", bands, tags.ortho);
+  std::unique_ptr<rpc::GeoRasterRows> sigma;
+  reconstruct::FeatheredRows heights(tiling), sure(tiling), expected(tiling);
+  Overview small(grid.height, grid.width), small_confidence(grid.height, grid.width);
+  TiledSurface out;
+  out.heights = {INFINITY, -INFINITY};
+  double confidence_sum = 0, known = 0;
+  Index done_rows = 0;
+  std::vector<fs::path> surfels;
+  bool has_sigma = false;
+  const auto at = [&](Index r, Index c) {
+    return static_cast<std::size_t>(r * tiling.columns + c);
+  };
+  for (std::size_t k = 0; k < records.size() && !has_sigma; ++k)
+    if (records[k].status == "done") has_sigma = !store.load(tiling.tiles[k]).sigma.empty();
+  if (has_sigma) sigma = growing("height_sigma.tif", 1, tags.sigma);
+
+  for (Index r = 0; r < tiling.rows; ++r) {
+    const reconstruct::CellRect& first = tiling.tiles[at(r, 0)].core;
+    Tensor counts({1, first.height(), grid.width}, kNan),
+        picture({bands, first.height(), grid.width}, kNan);
+    for (Index c = 0; c < tiling.columns; ++c) {
+      progress(static_cast<double>(at(r, c)) / static_cast<double>(records.size() + 1));
+      const Tile& tile = tiling.tiles[at(r, c)];
+      if (records[at(r, c)].status != "done") continue;
+      const reconstruct::TileSurface part = store.load(tile);
+      heights.add(tile, part.heights);
+      sure.add(tile, part.confidence);
+      if (has_sigma) expected.add(tile, part.sigma);
+      put_core(counts, part.views.reshaped({1, tile.core.height(), tile.core.width()}), tile);
+      if (!part.ortho.empty()) put_core(picture, part.ortho, tile);
+      if (records[at(r, c)].surfels > 0) surfels.push_back(store.surfels_of(tile));
+    }
+    for (Tensor* t : {&counts, &picture}) leave_out(*t, first.y0, grid, frame, polygons);
+    views->append(counts);
+    keep_off_nodata(picture, tags.ortho);
+    ortho->append(picture);
+
+    const auto finished = [&](reconstruct::FeatheredRows& rows) {
+      Tensor t = rows.finished(r);
+      leave_out(t, done_rows, grid, frame, polygons);
+      return t;
+    };
+    Tensor z = finished(heights);
+    const Tensor s = finished(sure);
+    small.append(z), small_confidence.append(s);
+    for (Index i = 0; i < z.count(); ++i) {
+      if (!std::isfinite(z[i])) continue;
+      confidence_sum += static_cast<double>(s[i]), known += 1;
+      const double h = static_cast<double>(z[i]) + frame.h0;
+      out.heights = {std::min(out.heights.low, h), std::max(out.heights.high, h)};
+    }
+    if (datum != rpc::HeightDatum::ellipsoid && z.dim(0) > 0)
+      rpc::refer_to_geoid(z, geo_rows(grid, frame, done_rows), datum);
+    for (float& h : z.values()) h = static_cast<float>(static_cast<double>(h) + frame.h0);
+    dsm->append(z), confidence->append(s);
+    if (has_sigma) sigma->append(finished(expected));
+    done_rows += z.dim(0);
+  }
+  for (rpc::GeoRasterRows* raster : {dsm.get(), confidence.get(), views.get(), ortho.get()}) {
+    progress(static_cast<double>(records.size()) / static_cast<double>(records.size() + 1));
+    raster->finish();
+  }
+  if (sigma) sigma->finish();
+  splat::join_ply(folder / "surfels.ply", surfels, frame_comments(frame));
+  out.dsm = {small.means(), grid.east, grid.north, grid.step * static_cast<double>(small.block())};
+  out.confidence = small_confidence.means();
+  out.mean_confidence = known > 0 ? confidence_sum / known : 0;
+  return out;
+}
+
+}  // namespace satsurf::app

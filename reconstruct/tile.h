@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/reconstruct/tiling.h"
+
+namespace satsurf::reconstruct {
+
+/// What became of one tile.
+struct TileSurface {
+  bool empty = true;         ///< fewer than two views show anything of it; nothing else is set then
+  Tensor heights;            ///< [h w] of all its cells, local z in m, NaN where unknown
+  Tensor confidence;         ///< alike
+  Tensor sigma;              ///< alike; empty unless the surface is refined
+  Tensor views;              ///< [h w] of its core: how many images see the cell
+  Tensor ortho;              ///< [C h w] of its core, as `orthophoto`; empty where nothing is seen
+  splat::Surfels surfels;    ///< those over its core; without tensors where there are none
+  rpc::HeightRange z_range;  ///< that was searched, local m
+  Index window = 0;          ///< side of what the network saw of each view, px
+  Index found = 0;           ///< cells of the core with a height
+  Index expected = 0;        ///< and those two views show
+  double camera_fit_max_px = 0;
+};
+
+/// Makes the surface of one tile.
+/// part     of the scene that shows it
+/// options  of the whole; grid, window and range are the tile's
+/// throws   as `reconstruct`
+TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene& part,
+                             const Tiling& tiling, const Tile& tile,
+                             const ReconstructOptions& options);
+
+}  // namespace satsurf::reconstruct

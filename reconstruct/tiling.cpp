@@ -1,0 +1,179 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/reconstruct/tiling.h"
+
+#include "satsurf/core/error.h"
+#include "satsurf/core/memory.h"
+#include "satsurf/rpc/fit.h"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+namespace satsurf::reconstruct {
+namespace {
+
+constexpr Index kOverlap = 32;       // cells; twice as many blend two neighbours
+constexpr Index kSlack = 8;          // px of a window for rounding and interpolation
+constexpr double kLocal = 0.2;       // of a window, for the parallax of a tile's heights
+constexpr Index kLeastWindow = 256;  // px; below, hardly anything is left between the overlaps
+
+/// What the program takes beside one tile's work: the reduced copies, the windows of the next tile
+/// that are read meanwhile, and the blocks that the readers keep.
+double memory_around(const ImageSizes& images, Index window) {
+  constexpr double kBlocks = 128e6, kStored = 3;  // bytes, bytes a pixel
+  constexpr double kCopy = 2048, kCopied = 20;    // px, bytes a pixel
+  constexpr double kAhead = 40;                   // bytes a pixel
+  const auto square = [](double side) { return side * side; };
+  const double views = static_cast<double>(images.views),
+               side = static_cast<double>(images.largest);
+  return std::min(kBlocks, views * kStored * square(side)) +
+         views * (kCopied * square(std::min(side, kCopy)) +
+                  kAhead * square(static_cast<double>(window)));
+}
+
+double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images, Index window,
+                      Surface surface) {
+  constexpr double kRepeated = 1.08;  // gaps between the tensors of tiles of different sizes
+  const double area = static_cast<double>(window) * static_cast<double>(window);
+  const WorkMemory work = work_memory(model,
+                                      {.views = images.views,
+                                       .window = window,
+                                       .pixels = static_cast<double>(images.views) * area,
+                                       .cells = area},
+                                      surface);
+  return kRepeated * (memory_around(images, window) + work.bytes);
+}
+
+/// What blending one row of tiles takes.
+double memory_of_rows(const Tiling& tiling, bool colour) {
+  const double planes = 8 + (colour ? 3 : 1);  // sums and weights of three rasters, views, ortho
+  Index tallest = 0;
+  for (const Tile& tile : tiling.tiles) tallest = std::max(tallest, tile.all.height());
+  return 300e6 + sizeof(float) * planes * static_cast<double>(tiling.grid.width) *
+                     static_cast<double>(tallest + 2 * tiling.overlap);
+}
+
+/// Where the parts of a side begin and end.
+Index boundary(Index cells, Index parts, Index k) { return cells * k / parts; }
+
+/// Tiles of a grid whose cores have at most so many cells a side.
+void cut(Tiling& tiling, Index most_wide, Index most_high) {
+  const Index W = tiling.grid.width, H = tiling.grid.height, m = tiling.overlap;
+  const auto parts = [&](Index cells, Index most) {
+    if (cells <= most) return Index{1};
+    const Index core = std::max<Index>(most - 2 * m, 2 * m);
+    return (cells + core - 1) / core;
+  };
+  tiling.columns = parts(W, most_wide), tiling.rows = parts(H, most_high);
+  for (Index r = 0; r < tiling.rows; ++r)
+    for (Index c = 0; c < tiling.columns; ++c) {
+      const CellRect core{boundary(W, tiling.columns, c), boundary(H, tiling.rows, r),
+                          boundary(W, tiling.columns, c + 1), boundary(H, tiling.rows, r + 1)};
+      tiling.tiles.push_back({r,
+                              c,
+                              core,
+                              {std::max<Index>(0, core.x0 - m), std::max<Index>(0, core.y0 - m),
+                               std::min(W, core.x1 + m), std::min(H, core.y1 + m)}});
+    }
+}
+
+/// The common part of two rectangles; without a span where there is none.
+Ground common(const Ground& a, const Ground& b) {
+  return {std::max(a.x0, b.x0), std::max(a.y0, b.y0), std::min(a.x1, b.x1), std::min(a.y1, b.y1)};
+}
+
+/// Pixels the network looks at, of the views that show a tile.
+double pixels_of(const scene::Survey& survey, const Tiling& tiling, const Tile& tile,
+                 const std::vector<rpc::PixelJacobian>& cameras, double z_span, Index multiple) {
+  const scene::Scene& scene = survey.user.scene;
+  const Ground ground = tiling.grid_of(tile.all).ground();
+  Index views = 0;
+  double side = 0;
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    if (!scene::window_of(survey.views[i], scene.frame, ground, scene.z_range)) continue;
+    ++views;
+    for (const auto& row : cameras[i])
+      side = std::max(side, std::abs(row[0]) * ground.width() + std::abs(row[1]) * ground.height() +
+                                std::abs(row[2]) * z_span);
+  }
+  if (views < 2) return 0;
+  const double most = static_cast<double>(tiling.window), of = static_cast<double>(multiple);
+  side = std::min(most, std::ceil((side + kSlack) / of) * of);
+  return static_cast<double>(views) * side * side;
+}
+
+}  // namespace
+
+Grid Tiling::grid_of(const CellRect& cells) const {
+  return {grid.east + static_cast<double>(cells.x0) * grid.step,
+          grid.north - static_cast<double>(cells.y0) * grid.step, grid.step, cells.height(),
+          cells.width()};
+}
+
+Index window_for_memory(const nn::ModelConfig& model, const ImageSizes& images, Surface surface,
+                        double bytes) {
+  const Index multiple = nn::size_multiple(model);
+  const Index least = (kLeastWindow + multiple - 1) / multiple * multiple;
+  Index window = std::max(least, kWholeImage / multiple * multiple);
+  if (!(bytes > 0)) return window;
+  while (window > least && memory_of_tile(model, images, window, surface) > bytes)
+    window -= multiple;
+  const double needed = memory_of_tile(model, images, window, surface);
+  if (needed > bytes)
+    throw ConfigError("max_memory: " + memory_text(bytes) + ", expected " +
+                      std::to_string(static_cast<Index>(std::ceil(needed / 1e6))) +
+                      " MB or more for " + std::to_string(images.views) + " images");
+  return window;
+}
+
+Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
+                  const ReconstructOptions& options, const std::optional<Ground>& wanted,
+                  double max_memory) {
+  const scene::Scene& scene = survey.user.scene;
+  const auto views = static_cast<Index>(survey.views.size());
+  const Surface surface = surface_kind(options);
+  Ground ground = common_ground(scene);
+  if (wanted) ground = common(ground, *wanted);
+  if (!(ground.width() > 0 && ground.height() > 0))
+    throw Error(
+        "the part of the ground that is wanted lies outside of what two images see, "
+        "expected a part of it; see satsurf info");
+  const std::array<double, 3> middle{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
+                                     scene.z_range.middle()};
+  std::vector<rpc::PixelJacobian> cameras;
+  double footprint = 0;
+  for (const scene::SurveyedView& view : survey.views) {
+    cameras.push_back(rpc::pixel_jacobian(view.rpc, scene.frame, middle));
+    footprint += rpc::view_geometry(cameras.back()).footprint / static_cast<double>(views);
+  }
+  Tiling out;
+  out.grid = grid_of(ground, scene.frame,
+                     options.resolution > 0 ? options.resolution : natural_step(footprint));
+  out.overlap = kOverlap;
+  ImageSizes images{.views = views};
+  for (const scene::SurveyedView& view : survey.views)
+    images.largest = std::max({images.largest, view.width, view.height});
+  out.window = window_for_memory(model, images, surface, max_memory);
+
+  // The largest box of ground, as long as it is wide, that every window holds.
+  double side = INFINITY;
+  const auto S = static_cast<double>(out.window - kSlack);
+  for (const rpc::PixelJacobian& camera : cameras)
+    for (const auto& row : camera) {
+      const double room = std::max(S - std::abs(row[2]) * scene.z_range.span(), (1 - kLocal) * S);
+      side = std::min(side, room / (std::abs(row[0]) + std::abs(row[1])));
+    }
+  const auto most = static_cast<Index>(side / out.grid.step);
+  cut(out, most, most);
+  double local = 0;  // of the range what windows have room for
+  for (const rpc::PixelJacobian& camera : cameras)
+    for (const auto& row : camera) local = std::max(local, std::abs(row[2]));
+  const double span = std::min(scene.z_range.span(), kLocal * S / std::max(local, 1e-9));
+  for (const Tile& tile : out.tiles)
+    out.megapixels += 1e-6 * pixels_of(survey, out, tile, cameras, span, nn::size_multiple(model));
+  out.memory_bytes = std::max(memory_of_tile(model, images, out.window, surface),
+                              memory_of_rows(out, survey.colour));
+  return out;
+}
+
+}  // namespace satsurf::reconstruct

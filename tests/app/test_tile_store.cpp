@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/tile_store.h"
+#include "satsurf/core/error.h"
+
+#include <filesystem>
+#include <string>
+
+#include "tests/temp_folder.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::app;
+using test::TempFolder;
+
+namespace {
+
+const reconstruct::Tile kTile{1, 2, {10, 20, 14, 23}, {8, 18, 16, 25}};
+
+reconstruct::TileSurface surface() {
+  reconstruct::TileSurface out;
+  out.empty = false;
+  out.heights = Tensor({7, 8}, 5.f), out.confidence = Tensor({7, 8}, 0.5f);
+  out.views = Tensor({3, 4}, 2.f), out.ortho = Tensor({1, 3, 4}, 9.f);
+  return out;
+}
+
+TileRecord record() {
+  TileRecord out;
+  out.status = "done", out.seconds = 1.5, out.found = 11, out.expected = 12, out.window = 256;
+  out.z_range = {-3.25, 17.125};
+  return out;
+}
+
+}  // namespace
+
+TEST_CASE("a finished tile is found again, with all that is known of it") {
+  const TempFolder folder("tiles");
+  const auto out = folder / "out";
+  {
+    TileStore store(out, false, false);
+    store.begin({{"a", 1.1}});
+    CHECK_FALSE(store.find(kTile));
+    store.save(kTile, record(), surface());
+  }
+  TileStore store(out, true, false);
+  store.begin({{"a", 1.1}});
+  const auto found = store.find(kTile);
+  REQUIRE(found);
+  CHECK(found->status == "done");
+  CHECK(found->found == 11);
+  CHECK(found->window == 256);
+  CHECK(found->z_range.high == 17.125);
+  const reconstruct::TileSurface loaded = store.load(kTile);
+  CHECK(loaded.heights.shape() == Shape{7, 8});
+  CHECK(loaded.ortho[3] == 9);
+  CHECK(loaded.sigma.empty());
+  CHECK_FALSE(store.find({0, 0, {}, {}}));
+  store.remove();
+  CHECK_FALSE(std::filesystem::exists(folder / "out.tiles"));
+}
+
+TEST_CASE("the tiles of another run are named by what differs, and are not touched") {
+  const TempFolder folder("tiles");
+  const auto out = folder / "out";
+  {
+    TileStore store(out, false, false);
+    store.begin({{"config", {{"resolution", 0.5}}}, {"same", 1}});
+    store.save(kTile, record(), surface());
+  }
+  {
+    TileStore store(out, true, false);
+    try {
+      store.begin({{"config", {{"resolution", 0.7}}}, {"same", 1}});
+      FAIL("accepted");
+    } catch (const ConfigError& e) {
+      const std::string text = e.what();
+      CHECK(text.find("/config/resolution was 0.5 and is 0.7") != std::string::npos);
+      CHECK(text.find("expected the same") != std::string::npos);
+    }
+  }
+  CHECK_THROWS_AS(TileStore(out, false, false), IoError);
+  {
+    TileStore store(out, true, false);
+    CHECK_THROWS_AS(TileStore(out, true, false), IoError);  // one process at a time
+    CHECK(store.find(kTile));
+  }
+  TileStore store(out, false, true);
+  CHECK_FALSE(store.find(kTile));
+}
+
+TEST_CASE("what a killed run has left beside its tiles goes with the next one") {
+  const TempFolder folder("tiles");
+  for (const char* name : {"out.partial-7", "out.partial-8", "other"})
+    std::filesystem::create_directories(folder / name);
+  TileStore store(folder / "out", false, false);
+  CHECK_FALSE(store.any());
+  store.note_work(folder / "out.partial-7");
+  store.note_work(folder / "out.partial-8");
+  CHECK_FALSE(std::filesystem::exists(folder / "out.partial-7"));
+  CHECK(std::filesystem::exists(folder / "out.partial-8"));
+  test::write_bytes(folder / "out.tiles/work", "../other");
+  store.note_work(folder / "out.partial-9");
+  CHECK(std::filesystem::exists(folder / "other"));
+}
+
+TEST_CASE("a run that finished no tile leaves nothing") {
+  const TempFolder folder("tiles");
+  {
+    TileStore store(folder / "out", true, false);
+    store.begin({{"a", 1}});
+  }
+  CHECK(std::filesystem::is_empty(folder.path()));
+}

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
+#include "satsurf/mesh/glb.h"
+#include "satsurf/mesh/simplify.h"
+
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <string>
+
+#include "tests/temp_folder.h"
+#include <doctest/doctest.h>
+#include <nlohmann/json.hpp>
+
+using namespace satsurf;
+using namespace satsurf::mesh;
+using test::error_of;
+
+namespace {
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
+template <class T>
+T at(const std::string& bytes, std::size_t offset) {
+  T value{};
+  std::memcpy(&value, bytes.data() + offset, sizeof(T));
+  return value;
+}
+
+/// A hill of H x W cells of 2 m.
+Tensor hill(Index H, Index W) {
+  Tensor z({H, W});
+  for (Index i = 0; i < H; ++i)
+    for (Index j = 0; j < W; ++j)
+      z[i * W + j] = static_cast<float>(5 * std::sin(0.3 * static_cast<double>(i)) +
+                                        0.1 * static_cast<double>(j));
+  return z;
+}
+
+}  // namespace
+
+TEST_CASE("mesh_from_heights: triangles look up, holes stay holes") {
+  Tensor z({3, 3}, 4.F);
+  const Mesh whole = mesh_from_heights(z, 10, 20, 2, Tensor({3, 3, 3}, 0.25F));
+  CHECK(whole.vertices.size() == 9);
+  CHECK(whole.faces.size() == 8);
+  CHECK(whole.vertices[0] == std::array<float, 3>{11, 19, 4});
+  CHECK(whole.colours[4] == std::array<float, 3>{0.25F, 0.25F, 0.25F});
+  for (const auto& n : whole.normals) CHECK(n == std::array<float, 3>{0, 0, 1});
+  z[4] = kNan;
+  CHECK(mesh_from_heights(z, 0, 0, 1, {}).faces.size() == 2);  // the two corners off the diagonals
+  CHECK(error_of<Error>([] {
+          mesh_from_heights(Tensor({4, 4}, kNan), 0, 0, 1, {});
+        }) == "mesh_from_heights: no three neighbouring cells have heights, expected a surface");
+}
+
+TEST_CASE("write_glb: y up, linear colours, and what the format demands") {
+  const test::TempFolder folder("glb");
+  Mesh mesh = mesh_from_heights(hill(4, 5), 0, 0, 2, Tensor({3, 4, 5}, 0.5F));
+  write_glb(folder / "hill.glb", mesh, {{"crs", "EPSG:32617"}});
+  const std::string bytes = test::read_bytes(folder / "hill.glb");
+  CHECK(bytes.substr(0, 4) == "glTF");
+  CHECK(at<std::uint32_t>(bytes, 4) == 2);
+  CHECK(at<std::uint32_t>(bytes, 8) == bytes.size());
+  const auto length = at<std::uint32_t>(bytes, 12);
+  CHECK(length % 4 == 0);
+  const nlohmann::json json = nlohmann::json::parse(bytes.substr(20, length));
+  CHECK(json["asset"]["extras"]["crs"] == "EPSG:32617");
+  CHECK(at<std::uint32_t>(bytes, 20 + length) == json["buffers"][0]["byteLength"]);
+  CHECK(bytes.substr(24 + length, 4) == std::string("BIN\0", 4));
+  const auto& attributes = json["meshes"][0]["primitives"][0]["attributes"];
+  const auto begin = [&](std::size_t accessor) {
+    return 28 + length +
+           json["bufferViews"][json["accessors"][accessor]["bufferView"].get<std::size_t>()]
+               ["byteOffset"]
+                   .get<std::size_t>();
+  };
+  const std::size_t positions = begin(attributes["POSITION"]);
+  for (std::size_t i = 0; i < mesh.vertices.size(); ++i) {
+    CHECK(at<float>(bytes, positions + 12 * i) == mesh.vertices[i][0]);
+    CHECK(at<float>(bytes, positions + 12 * i + 4) == mesh.vertices[i][2]);
+    CHECK(at<float>(bytes, positions + 12 * i + 8) == -mesh.vertices[i][1]);
+  }
+  CHECK(json["accessors"][0]["max"][2] == 7.0);  // southernmost row: y = -7
+  CHECK(at<std::uint16_t>(bytes, begin(attributes["COLOR_0"])) == 14027);  // 0.214041 of 65535
+  CHECK(json["accessors"][3]["count"] == 3 * mesh.faces.size());
+  mesh.faces[0][1] = 99;
+  CHECK(error_of<IoError>([&] {
+          write_glb(folder / "bad.glb", mesh, {});
+        }).ends_with("a face of vertex 99, expected one below 20"));
+  mesh.faces.clear();
+  CHECK(error_of<IoError>([&] {
+          write_glb(folder / "bad.glb", mesh, {});
+        }).ends_with("the mesh has no faces, expected some"));
+  CHECK(!std::filesystem::exists(folder / "bad.glb"));
+}
+
+TEST_CASE("simplified: as many faces as are allowed, near the surface") {
+  const Mesh fine = mesh_from_heights(hill(60, 60), 0, 0, 2, Tensor({3, 60, 60}, 0.5F));
+  const Mesh coarse = simplified(fine, 1000);
+  CHECK(coarse.faces.size() <= 1000);
+  CHECK(coarse.faces.size() > 400);
+  CHECK(coarse.normals.size() == coarse.vertices.size());
+  CHECK(coarse.colours.size() == coarse.vertices.size());
+  for (const auto& v : coarse.vertices) {
+    const double i = (-static_cast<double>(v[1]) - 1) / 2, j = (static_cast<double>(v[0]) - 1) / 2;
+    CHECK(std::abs(5 * std::sin(0.3 * i) + 0.1 * j - static_cast<double>(v[2])) < 1.5);
+  }
+  for (const auto& face : coarse.faces)
+    for (const std::uint32_t v : face) CHECK(v < coarse.vertices.size());
+  CHECK(simplified(fine, 1'000'000).faces == fine.faces);
+  CHECK_THROWS_AS(simplified(fine, 0), Error);
+}

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
+#include "satsurf/rpc/area.h"
+#include "satsurf/rpc/raster.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <iterator>
+#include <limits>
+#include <string>
+#include <utility>
+
+#include "tests/temp_folder.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::rpc;
+using test::TempFolder;
+using test::write_bytes;
+
+namespace {
+
+const UtmZone kZone{17, true};
+
+/// A square with a square hole, in the coordinates of `crs`.
+std::string geojson(const std::string& crs) {
+  return R"({"type":"FeatureCollection",)" + crs +
+         R"("features":[{"type":"Feature","properties":{},"geometry":{"type":"Polygon","coordinates":[
+[[500000,3350000],[500100,3350000],[500100,3350100],[500000,3350100],[500000,3350000]],
+[[500040,3350040],[500040,3350060],[500060,3350060],[500060,3350040],[500040,3350040]]]}}]})";
+}
+
+}  // namespace
+
+TEST_CASE("polygons are read in whatever system the file names, holes and all") {
+  const TempFolder folder("area");
+  write_bytes(folder / "utm.geojson",
+              geojson(R"("crs":{"type":"name","properties":{"name":"EPSG:32617"}},)"));
+  const Area area = read_area(folder / "utm.geojson", kZone);
+  CHECK(area.contains(500010, 3350010));
+  CHECK_FALSE(area.contains(500050, 3350050));
+  CHECK_FALSE(area.contains(500110, 3350050));
+  CHECK(area.bounds()[0] == doctest::Approx(500000));
+  CHECK(area.bounds()[3] == doctest::Approx(3350100));
+  CHECK(area.crossings(3350050).size() == 4);
+  CHECK(area.crossings(3350200).empty());
+
+  const auto [lon, lat] = geodetic_from_utm(kZone, 500050, 3350050);
+  const auto at = [](double v) { return std::to_string(v); };
+  const double d = 0.001;
+  write_bytes(folder / "degrees.geojson", R"({"type":"Polygon","coordinates":[[[)" + at(lon - d) +
+                                              "," + at(lat - d) + "],[" + at(lon + d) + "," +
+                                              at(lat - d) + "],[" + at(lon) + "," + at(lat + d) +
+                                              "],[" + at(lon - d) + "," + at(lat - d) + "]]]}");
+  const Area triangle = read_area(folder / "degrees.geojson", kZone);
+  CHECK(triangle.contains(500050, 3350050));
+  CHECK_FALSE(triangle.contains(500050 - 90, 3350050 + 90));
+}
+
+TEST_CASE("files without polygons, and files that are none, are refused by name") {
+  const TempFolder folder("area");
+  write_bytes(folder / "point.geojson", R"({"type":"Point","coordinates":[-81,30]})");
+  write_bytes(folder / "text.geojson", "no map");
+  for (const char* name : {"point.geojson", "text.geojson", "nowhere.geojson"}) {
+    CAPTURE(name);
+    try {
+      read_area(folder / name, kZone);
+      FAIL("accepted");
+    } catch (const IoError& e) {
+      CHECK(std::string(e.what()).find(name) != std::string::npos);
+      CHECK(std::string(e.what()).find("expected") != std::string::npos);
+    }
+  }
+}
+
+TEST_CASE("a box in degrees becomes the same ground in the zone") {
+  const auto [lon, lat] = geodetic_from_utm(kZone, 500050, 3350050);
+  const Area area = area_of_box({lon - 0.01, lat - 0.01, lon + 0.01, lat + 0.01}, kZone);
+  CHECK(area.contains(500050, 3350050));
+  for (const double part : {-0.999, 0.999}) {
+    const auto in = utm_from_geodetic(kZone, lon + 0.01 * part, lat + 0.01 * part);
+    CHECK(area.contains(in[0], in[1]));
+    const auto out = utm_from_geodetic(kZone, lon + 0.01 * part * 1.01, lat + 0.01 * part);
+    CHECK_FALSE(area.contains(out[0], out[1]));
+  }
+  CHECK_THROWS_AS(area_of_box({1, 1, 0, 2}, kZone), ConfigError);
+  CHECK_THROWS_AS(area_of_box({0, 0, 50, 2}, kZone), ConfigError);
+}
+
+TEST_CASE("a raster written row by row holds what one written at once holds") {
+  const TempFolder folder("rows");
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  Tensor values({2, 700, 300});
+  for (Index i = 0; i < values.count(); ++i)
+    values[i] = i % 97 == 0 ? nan : std::sin(0.01f * static_cast<float>(i));
+  const GeoGrid grid{32617, 500000, 3350000, 0.5};
+  GeoTags tags = ellipsoidal_height("Heights");
+  tags.band_names = {"a", "b"};
+  write_geo_raster(folder / "once.tif", values, grid, tags);
+  {
+    GeoRasterRows rows(folder / "rows.tif", 2, 700, 300, grid, tags);
+    for (const auto& [y0, n] : {std::pair<Index, Index>{0, 1}, {1, 299}, {300, 400}}) {
+      Tensor part({2, n, 300});
+      for (Index c = 0; c < 2; ++c)
+        std::copy_n(values.data() + (c * 700 + y0) * 300, n * 300, part.data() + c * n * 300);
+      CHECK_FALSE(std::filesystem::exists(folder / "rows.tif"));
+      rows.append(part);
+    }
+    CHECK_THROWS_AS(rows.append(Tensor({2, 1, 300})), ShapeError);
+    rows.finish();
+  }
+  const GeoRaster a = read_geo_raster(folder / "once.tif"),
+                  b = read_geo_raster(folder / "rows.tif");
+  CHECK(a.grid == b.grid);
+  CHECK(a.tags.metadata == b.tags.metadata);
+  CHECK(a.tags.band_names == b.tags.band_names);
+  Index wrong = 0;
+  for (Index i = 0; i < values.count(); ++i)
+    wrong += !(a.values[i] == b.values[i] || (std::isnan(a.values[i]) && std::isnan(b.values[i])));
+  CHECK(wrong == 0);
+  CHECK(std::distance(std::filesystem::directory_iterator(folder.path()), {}) == 2);
+  {
+    GeoRasterRows left(folder / "left.tif", 2, 10, 10, grid, tags);
+    CHECK_THROWS_AS(left.finish(), Error);
+  }
+  CHECK(std::distance(std::filesystem::directory_iterator(folder.path()), {}) == 2);
+}
