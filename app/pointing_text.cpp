@@ -30,8 +30,8 @@ std::string pointing_line(const scene::Pointing& pointing) {
   if (!pointing.applied)
     return fmt::format("cameras agree to {}; pointing correction {}", measured, pointing.verdict);
   return fmt::format(
-      "cameras disagreed by {}, {:.2f} px after shifts of up to {:.2f} px ({}; the mean shift is "
-      "zero, so where the ground as a whole lies stays as the cameras have it)",
+      "cameras disagreed by {}, {:.2f} px after shifts of up to {:.2f} px ({}; on the ground their "
+      "mean is zero, so where the ground as a whole lies stays as the cameras have it)",
       measured, scene::mean_across(pointing.after), pointing.largest_shift(), pointing.verdict);
 }
 

@@ -131,6 +131,26 @@ class Bundle {
     }
   }
 
+  /// Orthonormal columns that span the shifts whose displacements of the ground have a mean of zero.
+  /// Displacements and not pixels: one image may be turned against another, or coarser.
+  Eigen::MatrixXd shifts_that_leave_the_ground() const {
+    rpc::Geodetic middle;
+    for (const Track& t : tracks_) {
+      const double share = 1 / static_cast<double>(tracks_.size());
+      middle.lon += share * t.ground.lon, middle.lat += share * t.ground.lat;
+      middle.h += share * t.ground.h;
+    }
+    const auto size = static_cast<Eigen::Index>(2 * cameras_.size());
+    Eigen::MatrixXd ground_from_shifts(2, size);
+    for (std::size_t i = 0; i < cameras_.size(); ++i) {
+      const Eigen::Matrix2d plane = scale_.jacobian(cameras_[i], middle).leftCols<2>();
+      ground_from_shifts.middleCols<2>(static_cast<Eigen::Index>(2 * i)) = plane.inverse();
+    }
+    const Eigen::MatrixXd all =
+        Eigen::HouseholderQR<Eigen::MatrixXd>(ground_from_shifts.transpose()).householderQ();
+    return all.rightCols(size - 2);
+  }
+
   double mean_weight_of_a_view() const {
     double sum = 0;
     for (const Track& t : tracks_)
@@ -227,15 +247,7 @@ PointingAdjustment adjust_pointing(const std::vector<rpc::Rpc>& cameras,
   Bundle bundle(cameras, points, height);
   bundle.triangulate(out.shifts, 3);
 
-  // Columns span the shifts whose mean is zero, orthonormal: Helmert's contrasts for x and for y.
-  Eigen::MatrixXd free = Eigen::MatrixXd::Zero(2 * n, 2 * n - 2);
-  for (Eigen::Index k = 1; k < n; ++k) {
-    const double length = std::sqrt(static_cast<double>(k * (k + 1)));
-    for (Eigen::Index axis = 0; axis < 2; ++axis) {
-      for (Eigen::Index i = 0; i < k; ++i) free(2 * i + axis, 2 * (k - 1) + axis) = 1 / length;
-      free(2 * k + axis, 2 * (k - 1) + axis) = -static_cast<double>(k) / length;
-    }
-  }
+  const Eigen::MatrixXd free = bundle.shifts_that_leave_the_ground();
   Eigen::MatrixXd N;
   Eigen::VectorXd g;
   for (int pass = 0; pass < kMostPasses; ++pass) {

@@ -38,16 +38,17 @@ TieResiduals tie_residuals(const std::vector<rpc::Rpc>& cameras,
 
 /// Shifts of several images that make their rays meet.
 struct PointingAdjustment {
-  std::vector<rpc::Pixel> shifts;  ///< to add to where each camera sees a point, px; mean zero
+  std::vector<rpc::Pixel> shifts;  ///< to add to where each camera sees a point, px; see below
   Index observable = 0;            ///< combinations of the shifts that the points determine
 };
 
 /// One shift for each image, from all tie points together: least squares over shifts and ground
 /// points in which far-off sightings lose their weight (Cauchy, iterated).
-///   minimise  sum_k sum_i  w_ki | u_ki - project_i(P_k) - s_i |^2   with   sum_i s_i = 0
-/// What the points do not determine stays zero: moving all of the ground moves every image, of which
-/// the mean shift is the horizontal part; lifting it moves them along their epipolar directions,
-/// and of two images the whole shift along that direction is such a lift.
+///   minimise  sum_k sum_i  w_ki | u_ki - project_i(P_k) - s_i |^2   with   sum_i A_i^-1 s_i = 0
+/// and A_i = d project_i / d(east, north) in the middle of the points. What these do not determine
+/// stays zero: moving all of the ground moves every image, and the mean of the displacements that
+/// the shifts mean on the ground is the horizontal part of that; lifting it moves them along their
+/// epipolar directions, and of two images the whole shift along that direction is such a lift.
 /// cameras, points, height  as in `tie_residuals`; each camera sees some of the points
 /// throws                   Error without points
 PointingAdjustment adjust_pointing(const std::vector<rpc::Rpc>& cameras,

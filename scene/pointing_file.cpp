@@ -18,7 +18,8 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kMeaning =
     "shift is added to where the camera of an image sees a point (SAMP_OFF, LINE_OFF); the mean "
-    "shift is zero, and what tie points cannot tell from a ground that lies elsewhere is zero too";
+    "displacement of the ground that the shifts mean is zero, and what tie points cannot tell from "
+    "a ground that lies elsewhere is zero too";
 
 Json residual_json(const PairResidual& pair) {
   return {{"across", pair.across}, {"along", pair.along ? Json(*pair.along) : Json()}};
