@@ -205,7 +205,7 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
     out.mesh =
         compare_surfaces(made.surfels, *scene.truth, images, mask, out.dsm.shift, made.voxel);
   }
-  score_views(model, scene, options, sources, out, confidence);
+  score_views(model, scene, options, sources, made.surfels, out, confidence);
   return out;
 }
 

@@ -124,13 +124,13 @@ double covered_share(const Tensor& alpha, const Tensor& valid) {
 }
 
 void score_views(const nn::Model& model, const scene::Scene& scene, const EvaluateOptions& options,
-                 const std::vector<Index>& sources, SceneScores& out,
+                 const std::vector<Index>& sources, const splat::Surfels& surfels, SceneScores& out,
                  ConfidenceScores* confidence) {
   scene::Crop crop = middle_window(model, scene, options, sources);
   scene::forget_unseen_truth(crop);
-  const auto stages = model.forward(crop.input);
+  const auto stages = model.forward(crop.input, {}, nullptr, nn::Wanted::heights);
   score_sources(model.config(), stages, crop.source_truth, out, confidence);
-  score_target(stages[2].surfels, crop, options.lpips, out);
+  score_target(surfels, crop, options.lpips, out);
 }
 
 }  // namespace satsurf::evaluate

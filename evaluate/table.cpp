@@ -111,8 +111,8 @@ const std::vector<std::pair<std::string, std::string>>& table_groups() {
       {"dsm", "the reconstructed surface after what --register takes out"},
       {"mvs_source", "the network's last heights in the source views, all pixels pooled"},
       {"render_target",
-       "heights and colours rendered in the scene's next view; the colours of the pixels that the "
-       "surface covers"},
+       "heights and colours that the reconstructed surfels show in the scene's next view; the "
+       "colours of the pixels that the surface covers"},
       {"dsm_none", "the surface as it is"},
       {"dsm_z", "the surface after a height offset is taken out"},
       {"dsm_xyz", "the surface after a shift in all axes is taken out"},
