@@ -1,22 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/output_folder.h"
 
+#include "satsurf/app/log.h"
 #include "satsurf/app/record.h"
+#include "satsurf/core/atomic_file.h"
 #include "satsurf/core/error.h"
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdio>
 #include <cstdlib>
 #include <string>
+#include <string_view>
 #include <system_error>
 #include <utility>
 
+#include <fcntl.h>
 #include <unistd.h>
 
 namespace satsurf::app {
 namespace {
 
 namespace fs = std::filesystem;
+
+constexpr std::string_view kPartial = ".partial-";    // on its way to the place
+constexpr std::string_view kReplaced = ".replaced-";  // on its way out of it
 
 /// Runs a file system operation and turns its failure into our words.
 template <class F>
@@ -51,6 +59,11 @@ bool lies_in(const fs::path& folder, const fs::path& input) {
          holds(folder, fs::weakly_canonical(name.parent_path()) / name.filename());
 }
 
+[[noreturn]] void refuse_busy(const fs::path& named, const fs::path& folder) {
+  throw IoError("out: " + named.string() + " is being worked on by another process (" +
+                folder.string() + "), expected to have it alone");
+}
+
 void check(const fs::path& named, const fs::path& target, bool overwrite,
            const std::vector<fs::path>& inputs) {
   attempt(named, "read", [&] {
@@ -73,6 +86,7 @@ void check(const fs::path& named, const fs::path& target, bool overwrite,
       throw IoError("out: " + named.string() +
                     " holds no run.json of an earlier run, expected one for --overwrite; name "
                     "another folder");
+    if (FolderLock(target).busy()) refuse_busy(named, target);
   });
 }
 
@@ -83,10 +97,68 @@ fs::path outermost_missing(fs::path folder) {
   return missing;
 }
 
-fs::path sibling(const fs::path& target, const char* kind) {
+fs::path sibling(const fs::path& target, std::string_view kind) {
   fs::path name = target;
   name += std::string(kind) + std::to_string(::getpid());
   return name;
+}
+
+/// The folders beside `target` that `sibling` has named for any process.
+std::vector<fs::path> siblings(const fs::path& target, std::string_view kind) {
+  const std::string start = target.filename().string() + std::string(kind);
+  std::vector<fs::path> found;
+  std::error_code ignored;
+  for (const auto& entry : fs::directory_iterator(target.parent_path(), ignored)) {
+    const std::string name = entry.path().filename().string();
+    if (name.size() > start.size() && name.starts_with(start) &&
+        name.find_first_not_of("0123456789", start.size()) == std::string::npos &&
+        fs::is_directory(entry.symlink_status(ignored)))
+      found.push_back(entry.path());
+  }
+  std::sort(found.begin(), found.end());
+  return found;
+}
+
+/// Puts back or removes what killed processes have left beside `target`.
+/// throws  IoError if a process that lives is about to put something there
+void clear_leftovers(const fs::path& named, const fs::path& target) {
+  std::error_code failed;
+  for (const fs::path& left : siblings(target, kReplaced)) {
+    if (!FolderLock(left).ours()) continue;
+    if (!fs::exists(target)) {
+      fs::rename(left, target, failed);
+      if (!failed)
+        log_line(LogLevel::info,
+                 target.string() + " put back, which a stopped run had moved to " + left.string());
+      continue;
+    }
+    fs::remove_all(left, failed);
+    if (!failed) log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
+  }
+  for (const fs::path& left : siblings(target, kPartial)) {
+    const FolderLock lock(left);
+    if (lock.busy()) refuse_busy(named, left);
+    if (!lock.ours()) continue;
+    fs::remove_all(left, failed);
+    if (!failed) log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
+  }
+}
+
+/// A new folder of that name, locked. Whoever clears left-overs may take it away between its making
+/// and its locking.
+FolderLock made_and_locked(const fs::path& folder) {
+  FolderLock lock;
+  for (int attempt = 0; attempt < 3; ++attempt) {
+    fs::create_directories(folder);
+    lock = FolderLock(folder);
+    if (fs::exists(folder)) break;
+  }
+  return lock;
+}
+
+/// Two folders take each other's names in one step.
+bool exchanged(const fs::path& a, const fs::path& b) {
+  return ::renameat2(AT_FDCWD, a.c_str(), AT_FDCWD, b.c_str(), RENAME_EXCHANGE) == 0;
 }
 
 }  // namespace
@@ -103,6 +175,7 @@ OutputFolder::OutputFolder(OutputFolder&& other) noexcept
       work_(std::move(other.work_)),
       first_made_(std::move(other.first_made_)),
       inputs_(std::move(other.inputs_)),
+      lock_(std::move(other.lock_)),
       overwrite_(other.overwrite_),
       pending_(std::exchange(other.pending_, false)) {}
 
@@ -120,14 +193,14 @@ OutputFolder::~OutputFolder() {
 OutputFolder OutputFolder::staged(const fs::path& folder, bool overwrite,
                                   std::vector<fs::path> inputs) {
   const fs::path target = resolved(folder);
+  attempt(folder, "cleared", [&] { clear_leftovers(folder, target); });
   check(folder, target, overwrite, inputs);
-  OutputFolder out(folder, target, sibling(target, ".partial-"));
+  OutputFolder out(folder, target, sibling(target, kPartial));
   out.inputs_ = std::move(inputs);
   out.overwrite_ = overwrite;
   attempt(folder, "made", [&] {
-    fs::remove_all(out.work_);  // of a killed process that had our number
     out.first_made_ = outermost_missing(out.work_);
-    fs::create_directories(out.work_);
+    out.lock_ = made_and_locked(out.work_);
   });
   return out;
 }
@@ -141,25 +214,44 @@ OutputFolder OutputFolder::in_place(const fs::path& folder) {
   const fs::path target = resolved(folder);
   if (fs::exists(target) && !fs::is_directory(target))
     throw IoError("out: " + folder.string() + " is a file, expected a folder");
-  return {folder, target, target};
+  attempt(folder, "cleared", [&] { clear_leftovers(folder, target); });
+  OutputFolder out(folder, target, target);
+  out.lock_ = FolderLock(target);
+  if (out.lock_.busy()) refuse_busy(folder, target);
+  if (out.lock_.ours())
+    for (const fs::path& left : remove_partial_files(target))
+      log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
+  return out;
 }
 
 void OutputFolder::commit() {
   if (!pending_) return;
   check(named_, target_, overwrite_, inputs_);  // others may have written there meanwhile
   attempt(target_, "put in its place", [&] {
-    const fs::path old = sibling(target_, ".replaced-");
-    const bool replaces = fs::exists(target_);
-    if (replaces) fs::rename(target_, old);
-    try {
-      fs::rename(work_, target_);
-    } catch (const fs::filesystem_error&) {
-      if (replaces) fs::rename(old, target_);
-      throw;
+    fs::path old;
+    if (fs::exists(target_)) {
+      if (exchanged(work_, target_)) {
+        old = work_;
+      } else {  // a file system that can only rename
+        old = sibling(target_, kReplaced);
+        fs::rename(target_, old);
+      }
+    }
+    if (old != work_) {
+      try {
+        fs::rename(work_, target_);
+      } catch (const fs::filesystem_error&) {
+        if (!old.empty()) fs::rename(old, target_);
+        throw;
+      }
     }
     pending_ = false;
     work_ = target_;
-    if (replaces) fs::remove_all(old);
+    std::error_code failed;
+    if (!old.empty()) fs::remove_all(old, failed);
+    if (failed)
+      log_line(LogLevel::warning,
+               old.string() + ": what was replaced cannot be removed (" + failed.message() + ")");
   });
 }
 
@@ -178,6 +270,8 @@ void check_output_file(const std::string& flag, const fs::path& file, bool overw
                     ", expected another name");
   }
   if (fs::exists(file, code) && !overwrite) throw IoError(where + " exists; use --overwrite");
+  for (const fs::path& left : remove_partial_files(file.parent_path(), file.filename()))
+    log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
   // the folder around it, or the one to make that in
   fs::path folder = fs::absolute(file).parent_path();
   while (!fs::exists(folder, code) && folder.has_relative_path()) folder = folder.parent_path();

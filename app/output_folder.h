@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/app/folder_lock.h"
+
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -10,6 +12,9 @@ namespace satsurf::app {
 /// Where a command puts its files. A staged folder is filled under a temporary name beside its
 /// place and renamed into it by `commit()`; without a commit nothing is left, neither the folder
 /// nor those made around it. A folder in place is one to go on in: whatever is there stays.
+///
+/// What a killed process has left beside the place is removed by the next that wants it, which says
+/// so. Folders of processes that live are locked; their place is refused.
 class OutputFolder {
  public:
   /// A folder that appears with `commit()`.
@@ -18,15 +23,15 @@ class OutputFolder {
   /// inputs     files and folders the run reads; none may lie in the folder or be the folder. Empty
   ///            names are passed over
   /// throws     IoError `out: DIR exists and is not empty; use --overwrite`; also if DIR is a file,
-  ///            holds an input, or if overwriting would remove something else than a run, the
-  ///            working folder, the home folder or one above them
+  ///            holds an input, is worked on by another process, or if overwriting would remove
+  ///            something else than a run, the working folder, the home folder or one above them
   static OutputFolder staged(const std::filesystem::path& folder, bool overwrite,
                              std::vector<std::filesystem::path> inputs = {});
   /// Names more files the run reads, known only since they are read.
   /// throws  IoError as `staged`
   void add_inputs(const std::vector<std::filesystem::path>& inputs);
-  /// The folder itself, as it is.
-  /// throws  IoError if it is a file
+  /// The folder itself, as it is but for temporary files that a killed process has left.
+  /// throws  IoError if it is a file or worked on by another process
   static OutputFolder in_place(const std::filesystem::path& folder);
 
   OutputFolder(OutputFolder&& other) noexcept;
@@ -39,7 +44,8 @@ class OutputFolder {
   /// Whether the files are where they were asked for.
   bool in_its_place() const { return !pending_; }
   /// Puts a staged folder in its place, which is looked at once more; nothing to do for one in
-  /// place.
+  /// place. Where the file system can, old and new are exchanged in one step: there is no moment
+  /// without either.
   /// throws  IoError
   void commit();
 
@@ -49,6 +55,7 @@ class OutputFolder {
 
   std::filesystem::path named_, target_, work_, first_made_;
   std::vector<std::filesystem::path> inputs_;
+  FolderLock lock_;
   bool overwrite_ = false, pending_;  // pending: work_ must go unless committed
 };
 

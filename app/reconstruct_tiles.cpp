@@ -374,7 +374,6 @@ void reconstruct_tiles(ReconstructJob& job) {
   job.note_scene(with_whole_cameras(survey));
   if (options.dry_run) return print_plan(tiling, survey);
   check_memory(tiling);
-  store->note_work(job.staged->path());
   progress.update("read", 1);
 
   const auto start = Clock::now();

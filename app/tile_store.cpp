@@ -76,6 +76,7 @@ TileStore::TileStore(const fs::path& out, bool resume, bool overwrite)
   if (there && !resume)
     for (const auto& entry : fs::directory_iterator(folder_, error))
       if (entry.path().filename() != "lock") fs::remove(entry.path(), error);
+  remove_partial_files(folder_);
 }
 
 TileStore::~TileStore() {
@@ -100,19 +101,6 @@ bool TileStore::any() const {
   for (const auto& entry : fs::directory_iterator(folder_, error))
     if (entry.path().filename().string().starts_with("tile_")) return true;
   return false;
-}
-
-void TileStore::note_work(const fs::path& work) {
-  const fs::path file = folder_ / "work";
-  if (is_file(file)) {
-    // A folder of no other name is removed, whatever the file says.
-    const fs::path left =
-        folder_.parent_path() / fs::path(read_text_file(file, "a folder")).filename();
-    std::error_code error;
-    if (left.filename().string().starts_with(folder_.stem().string() + ".partial-") && left != work)
-      fs::remove_all(left, error);
-  }
-  atomic_write(file, work.filename().string());
 }
 
 fs::path TileStore::file_of(const reconstruct::Tile& tile) const {

@@ -38,10 +38,6 @@ class TileStore {
   /// Notes what the tiles depend on, or checks that those that are there depend on the same.
   /// throws  ConfigError naming the first thing that differs
   void begin(const nlohmann::json& plan);
-  /// Notes where this run puts its finished files before they take their place, and removes what a
-  /// killed one has left of them.
-  /// throws  IoError
-  void note_work(const std::filesystem::path& work);
   /// Whether any tile is finished.
   bool any() const;
   /// What became of a tile; nothing while it is not finished.

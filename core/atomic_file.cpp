@@ -6,9 +6,11 @@
 #include <atomic>
 #include <cerrno>
 #include <string>
+#include <string_view>
 #include <system_error>
 
 #include <fcntl.h>
+#include <sys/file.h>
 #include <unistd.h>
 
 namespace satsurf {
@@ -28,6 +30,21 @@ void flush_folder(const std::filesystem::path& folder) {
   ::close(fd);
 }
 
+constexpr std::string_view kPartial = ".partial-";
+
+/// Whether `name` is one that `atomic_write` makes: a dot, the file's name, the mark, two numbers.
+bool is_partial(const std::string& name, const std::string& file) {
+  const std::size_t mark = name.rfind(kPartial);
+  if (!name.starts_with('.') || mark == std::string::npos || mark < 2) return false;
+  const std::string_view numbers = std::string_view(name).substr(mark + kPartial.size());
+  const std::size_t dash = numbers.find('-');
+  const auto digits = [](std::string_view s) {
+    return !s.empty() && s.find_first_not_of("0123456789") == std::string_view::npos;
+  };
+  return (file.empty() || name.compare(1, mark - 1, file) == 0) && dash != std::string_view::npos &&
+         digits(numbers.substr(0, dash)) && digits(numbers.substr(dash + 1));
+}
+
 }  // namespace
 
 void atomic_write(const std::filesystem::path& path, std::span<const std::string_view> pieces) {
@@ -38,10 +55,11 @@ void atomic_write(const std::filesystem::path& path, std::span<const std::string
   if (ec) fail(path, "make its folder", ec.value());
 
   const std::filesystem::path temporary =
-      folder / ('.' + path.filename().string() + ".partial-" + std::to_string(::getpid()) + '-' +
-                std::to_string(number++));
+      folder / ('.' + path.filename().string() + std::string(kPartial) +
+                std::to_string(::getpid()) + '-' + std::to_string(number++));
   const int fd = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
   if (fd < 0) fail(path, "be created", errno);
+  ::flock(fd, LOCK_EX | LOCK_NB);  // tells `remove_partial_files` that its writer lives
   int code = 0;
   for (std::string_view piece : pieces) {
     while (!piece.empty() && code == 0) {
@@ -60,6 +78,24 @@ void atomic_write(const std::filesystem::path& path, std::span<const std::string
     fail(path, "be written", code);
   }
   flush_folder(folder);
+}
+
+std::vector<std::filesystem::path> remove_partial_files(const std::filesystem::path& folder,
+                                                        const std::filesystem::path& file) {
+  std::vector<std::filesystem::path> removed;
+  std::error_code ignored;
+  for (const auto& entry : std::filesystem::directory_iterator(
+           folder.empty() ? std::filesystem::path(".") : folder, ignored)) {
+    if (!is_partial(entry.path().filename().string(), file.string()) ||
+        !std::filesystem::is_regular_file(entry.symlink_status(ignored)))
+      continue;
+    const int fd = ::open(entry.path().c_str(), O_RDONLY | O_NOFOLLOW | O_CLOEXEC);
+    if (fd < 0) continue;
+    if (::flock(fd, LOCK_EX | LOCK_NB) == 0 && ::unlink(entry.path().c_str()) == 0)
+      removed.push_back(entry.path());
+    ::close(fd);
+  }
+  return removed;
 }
 
 }  // namespace satsurf

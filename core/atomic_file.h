@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <span>
 #include <string_view>
+#include <vector>
 
 namespace satsurf {
 
@@ -17,5 +18,12 @@ void atomic_write(const std::filesystem::path& path, std::span<const std::string
 inline void atomic_write(const std::filesystem::path& path, std::string_view bytes) {
   atomic_write(path, std::span(&bytes, 1));
 }
+
+/// Removes the temporary files of writers that were killed on the way; those of others are locked.
+/// folder   where they wrote
+/// file     name of the one file whose temporary files are meant; empty for all
+/// returns  what was removed
+std::vector<std::filesystem::path> remove_partial_files(const std::filesystem::path& folder,
+                                                        const std::filesystem::path& file = {});
 
 }  // namespace satsurf

@@ -237,6 +237,73 @@ TEST_CASE("output folder: only a run of the program is overwritten, and no input
   }
 }
 
+TEST_CASE("output folder: what a killed process has left goes with the next run") {
+  const test::TempFolder folder("killed");
+  const fs::path out = folder / "out";
+  for (const char* name : {"out.partial-7", "out.partial-123", "out.partial-x", "out.partial-",
+                           "other.partial-7", "out.replaced-8"})
+    fs::create_directories(folder / name);
+  write_bytes(folder / "out.partial-7/dsm.tif", "half");
+  write_bytes(folder / "out.partial-9", "a file");
+  fs::create_directory_symlink(folder / "other.partial-7", folder / "out.partial-10");
+  SUBCASE("nothing is there") {
+    fs::remove_all(folder / "out.replaced-8");
+    { const OutputFolder dropped = OutputFolder::staged(out, false); }
+    CHECK(!fs::exists(out));
+  }
+  SUBCASE("what was to be replaced is there still") {
+    leave_run(out);
+    { const OutputFolder dropped = OutputFolder::staged(out, true); }
+    CHECK(read_bytes(out / "run.json").size() > 2);
+  }
+  SUBCASE("what was to be replaced has been moved away") {
+    leave_run(folder / "out.replaced-8");
+    write_bytes(folder / "out.replaced-8/old.tif", "old");
+    CHECK(error_of<IoError>([&] { OutputFolder::staged(out, false); }) ==
+          "out: " + out.string() + " exists and is not empty; use --overwrite");
+    CHECK(read_bytes(out / "old.tif") == "old");
+  }
+  SUBCASE("in place") {
+    leave_run(out);
+    write_bytes(out / ".checkpoint.partial-7-0", "half");
+    write_bytes(out / ".checkpoint.partial-7", "not ours");
+    { const OutputFolder place = OutputFolder::in_place(out); }
+    CHECK(!fs::exists(out / ".checkpoint.partial-7-0"));
+    CHECK(fs::exists(out / ".checkpoint.partial-7"));
+  }
+  for (const char* name : {"out.partial-7", "out.partial-123", "out.replaced-8"}) {
+    CAPTURE(name);
+    CHECK(!fs::exists(folder / name));
+  }
+  for (const char* name :
+       {"out.partial-x", "out.partial-", "other.partial-7", "out.partial-9", "out.partial-10"}) {
+    CAPTURE(name);
+    CHECK(fs::exists(folder / name));
+  }
+}
+
+TEST_CASE("output folder: a place that a living process works on is refused") {
+  const test::TempFolder folder("living");
+  const fs::path out = folder / "out";
+  const auto refusal = [&](const fs::path& busy) {
+    return "out: " + out.string() + " is being worked on by another process (" +
+           fs::weakly_canonical(busy).string() + "), expected to have it alone";
+  };
+  const auto staged = [&] { OutputFolder::staged(out, true); };
+  const auto in_place = [&] { OutputFolder::in_place(out); };
+  OutputFolder first = OutputFolder::staged(out, false);
+  leave_run(first.path());
+  CHECK(error_of<IoError>(staged) == refusal(first.path()));
+  CHECK(error_of<IoError>(in_place) == refusal(first.path()));
+  first.commit();  // and goes on there, as a training does
+  CHECK(error_of<IoError>(staged) == refusal(out));
+  CHECK(error_of<IoError>(in_place) == refusal(out));
+  { const OutputFolder gone = std::move(first); }
+  { const OutputFolder second = OutputFolder::staged(out, true); }
+  const OutputFolder third = OutputFolder::in_place(out);
+  CHECK(error_of<IoError>(in_place) == refusal(out));
+}
+
 TEST_CASE("output folder: folders made around it go with it") {
   const test::TempFolder folder("around");
   fs::create_directories(folder / "kept");

@@ -88,19 +88,17 @@ TEST_CASE("the tiles of another run are named by what differs, and are not touch
   CHECK_FALSE(store.find(kTile));
 }
 
-TEST_CASE("what a killed run has left beside its tiles goes with the next one") {
+TEST_CASE("what a killed writer has left among the tiles goes with the next run") {
   const TempFolder folder("tiles");
-  for (const char* name : {"out.partial-7", "out.partial-8", "other"})
-    std::filesystem::create_directories(folder / name);
-  TileStore store(folder / "out", false, false);
-  CHECK_FALSE(store.any());
-  store.note_work(folder / "out.partial-7");
-  store.note_work(folder / "out.partial-8");
-  CHECK_FALSE(std::filesystem::exists(folder / "out.partial-7"));
-  CHECK(std::filesystem::exists(folder / "out.partial-8"));
-  test::write_bytes(folder / "out.tiles/work", "../other");
-  store.note_work(folder / "out.partial-9");
-  CHECK(std::filesystem::exists(folder / "other"));
+  {
+    TileStore store(folder / "out", false, false);
+    store.begin({{"a", 1}});
+    store.save(kTile, record(), surface());
+  }
+  test::write_bytes(folder / "out.tiles/.tile_0001_0002.json.partial-7-3", "{");
+  const TileStore store(folder / "out", true, false);
+  CHECK(store.any());
+  CHECK_FALSE(std::filesystem::exists(folder / "out.tiles/.tile_0001_0002.json.partial-7-3"));
 }
 
 TEST_CASE("a run that finished no tile leaves nothing") {

@@ -6,9 +6,15 @@
 
 #include <cstdint>
 #include <cstring>
+#include <filesystem>
+#include <string>
+#include <vector>
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
+#include <fcntl.h>
+#include <sys/file.h>
+#include <unistd.h>
 
 using namespace satsurf;
 using test::error_of, test::read_bytes, test::write_bytes;
@@ -276,6 +282,31 @@ TEST_CASE("safetensors: what cannot be opened or saved is named") {
   CHECK(error_of<IoError>([&] { save_safetensors(out, g); }) ==
         out + ": a name or the metadata is something else, expected UTF-8");
   CHECK(std::filesystem::is_empty(folder.path()));
+}
+
+TEST_CASE("remove_partial_files: takes what killed writers have left, and nothing else") {
+  const test::TempFolder folder("partial");
+  const std::vector<std::string> left{".a.partial-7-0", ".a.partial-123-45", ".b.c.partial-7-1"},
+      others{"a",
+             ".a",
+             "a.partial-7-0",
+             ".a.partial-7",
+             ".a.partial-7-",
+             ".a.partial--1",
+             ".partial-7-0",
+             ".a.partial-7-x"};
+  for (const auto& names : {left, others})
+    for (const std::string& name : names) write_bytes(folder / name, "x");
+  std::filesystem::create_directory(folder / ".d.partial-7-0");
+  const int living = ::open((folder / left[1]).c_str(), O_RDONLY);
+  REQUIRE(::flock(living, LOCK_EX) == 0);
+  CHECK(remove_partial_files(folder.path(), "b.c") == std::vector{folder / left[2]});
+  CHECK(remove_partial_files(folder.path()) == std::vector{folder / left[0]});
+  ::close(living);
+  CHECK(remove_partial_files(folder.path()) == std::vector{folder / left[1]});
+  for (const std::string& name : others) CHECK(std::filesystem::exists(folder / name));
+  CHECK(std::filesystem::exists(folder / ".d.partial-7-0"));
+  CHECK(remove_partial_files(folder / "none").empty());
 }
 
 TEST_CASE("atomic_write: replaces whole files and leaves nothing else") {
