@@ -151,10 +151,10 @@ void write_from_above(const RenderCommand& options, const Render& render,
     return write_field(options.out, splat::surface_heights(render), grid, frame, frame.h0,
                        rpc::ellipsoidal_height("Surface heights"));
   if (png) {
-    write_png(options.out, render.colour.value());
+    write_png(options.out, splat::surface_colours(render));
     return write_world_files(options.out, geo_grid(grid, frame));
   }
-  Tensor colour = render.colour.value().clone();
+  Tensor colour = splat::surface_colours(render);
   for (float& v : colour.values()) v *= 255;
   rpc::GeoTags tags;
   tags.unit = "", tags.description = "The surface from above", tags.type = rpc::CellType::uint8;
@@ -195,7 +195,7 @@ void run_render(const RenderCommand& options) {
     if (std::none_of(alpha.begin(), alpha.end(), [](float a) { return a > 0.05f; }))
       throw Error("render: " + options.image.string() + " sees nothing of " +
                   options.surfels.string() + ", expected an image of that place");
-    Tensor colour = render.colour.value().clone();
+    Tensor colour = splat::surface_colours(render);
     if (png) return write_png(options.out, colour);
     for (float& v : colour.values()) v *= 255;
     return rpc::write_rpc_geotiff(options.out, colour, rpc::PixelType::uint8, *image->rpc);

@@ -110,7 +110,7 @@ void score_target(const splat::Surfels& surfels, const scene::Crop& crop, const 
     if (!covers(render.alpha.value()[p])) height[p] = kNan, mask[p] = 0;
   out.target_covered = covered_share(render.alpha.value(), valid);
   out.render_target = score_heights(height, crop.target_truth, valid);
-  out.target = score_images(render.colour.value(), crop.target->rgb, mask, lpips);
+  out.target = score_images(splat::surface_colours(render), crop.target->rgb, mask, lpips);
 }
 
 }  // namespace

@@ -18,7 +18,7 @@ RenderedView rendered_view(const splat::Surfels& surfels, const nn::PosedImage& 
   const Index H = image.rgb.dim(1), W = image.rgb.dim(2);
   RenderedView out;
   const auto render = splat::render_view(surfels, image.pixel_from_local, H, W, 1);
-  out.colour = render.colour.value();
+  out.colour = splat::surface_colours(render);
   out.heights.pixel_from_local = image.pixel_from_local;
   out.heights.local_from_pixel = image.local_from_pixel;
   out.heights.height = splat::surface_heights(render);

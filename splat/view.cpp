@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/splat/view.h"
 
+#include <algorithm>
 #include <cmath>
 
 namespace satsurf::splat {
@@ -28,6 +29,15 @@ Tensor surface_heights(const Render& render) {
     if (!(alpha > 0.5f)) z[i] = alpha > kSeen ? render.height.value()[i] : std::nanf("");
   }
   return z;
+}
+
+Tensor surface_colours(const Render& render) {
+  Tensor out = render.colour.value().clone();
+  const Tensor& alpha = render.alpha.value();
+  for (Index c = 0; c < out.dim(0); ++c)
+    for (Index i = 0; i < alpha.count(); ++i)
+      out[c * alpha.count() + i] /= std::max(alpha[i], 0.5f);
+  return out;
 }
 
 template BasicRender<float> render_view(const BasicSurfels<float>&, const Quadratic&, Index, Index,

@@ -27,4 +27,8 @@ Quadratic nadir_camera(double x0, double y0, double step);
 /// grazing angle; NaN where next to nothing (less than 0.05) is.
 Tensor surface_heights(const Render& render);
 
+/// Colours of a rendered surface [3 H W]: nothing shines through one, so where at least half the
+/// light is stopped they are taken as if all of it were; where less is, they fade to black.
+Tensor surface_colours(const Render& render);
+
 }  // namespace satsurf::splat

@@ -1,0 +1,207 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""What vendors deliver, made from three images of one simulated scene, and what becomes of it.
+
+  bench/deliveries.py SATSURF FOLDER [CASE...]
+
+SATSURF  the program
+FOLDER   to work in; `simulate` puts a scene there if it holds none
+CASE     names of the cases to try; without one all of them
+
+Every case is the same scene, delivered another way: the images turned or cropped with their cameras exactly with them, in
+other formats and depths, with borders, clouds or cameras that are off, or reconstructed with other height ranges. A line
+for each: mean error of the cells found after a shift (what images tell of a place is relative), that of the plain case, cells found, what was warned of.
+Needs GDAL's programs (Debian: gdal-bin).
+"""
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+NUMBERS = ["LINE_OFF", "SAMP_OFF", "LAT_OFF", "LONG_OFF", "HEIGHT_OFF",
+           "LINE_SCALE", "SAMP_SCALE", "LAT_SCALE", "LONG_SCALE", "HEIGHT_SCALE"]
+COEFFICIENTS = ["LINE_NUM_COEFF", "LINE_DEN_COEFF", "SAMP_NUM_COEFF", "SAMP_DEN_COEFF"]
+
+
+def run(*command):
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True)
+    if done.returncode != 0:
+        raise RuntimeError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit code {done.returncode}")
+    return done
+
+
+class Image:
+    """Bands of 8 or 16 bits in memory, with a camera."""
+
+    def __init__(self, width, height, bands, depth, rpc):
+        self.width, self.height, self.bands, self.depth, self.rpc = width, height, bands, depth, rpc
+
+    @staticmethod
+    def read(path, scratch):
+        info = json.loads(run("gdalinfo", "-json", path).stdout)
+        width, height = info["size"]
+        raw = scratch / "raw.bin"
+        run("gdal_translate", "-q", "-of", "ENVI", "-co", "INTERLEAVE=BSQ", path, raw)
+        content, plane = raw.read_bytes(), width * height
+        return Image(width, height, [bytearray(content[b * plane:(b + 1) * plane]) for b in range(len(info["bands"]))], 1,
+                     dict(info["metadata"]["RPC"]))
+
+    def write(self, path, scratch, *options):
+        """A GeoTIFF, or what the options ask for; the camera in a file beside it."""
+        raw = scratch / "out.bin"
+        raw.write_bytes(b"".join(self.bands))
+        raw.with_suffix(".hdr").write_text(
+            f"ENVI\nsamples = {self.width}\nlines = {self.height}\nbands = {len(self.bands)}\nheader offset = 0\n"
+            f"data type = {1 if self.depth == 1 else 12}\ninterleave = bsq\nbyte order = 0\n")
+        run("gdal_translate", "-q", *options, raw, path)
+        Path(str(path) + ".aux.xml").unlink(missing_ok=True)
+        lines = [f"{name}: {self.rpc[name]}" for name in NUMBERS]
+        for name in COEFFICIENTS:
+            lines += [f"{name}_{i + 1}: {v}" for i, v in enumerate(self.rpc[name].split())]
+        path.with_name(path.stem + "_RPC.TXT").write_text("\n".join(lines) + "\n")
+
+    def shift_camera(self, x, y):
+        self.rpc["SAMP_OFF"] = repr(float(self.rpc["SAMP_OFF"]) + x)
+        self.rpc["LINE_OFF"] = repr(float(self.rpc["LINE_OFF"]) + y)
+
+    def turn(self, quarters):
+        """Clockwise."""
+        for _ in range(quarters):
+            w, h, d = self.width, self.height, self.depth
+            turned = []
+            for band in self.bands:
+                rows = [band[r * w * d:(r + 1) * w * d] for r in range(h)]
+                out = bytearray(w * h * d)
+                for r in range(h):
+                    for byte in range(d):
+                        out[(h - 1 - r) * d + byte::h * d] = rows[r][byte::d]
+                turned.append(out)
+            r = self.rpc
+            negative = " ".join(repr(-float(v)) for v in r["LINE_NUM_COEFF"].split())
+            self.rpc = dict(r, SAMP_NUM_COEFF=negative, SAMP_DEN_COEFF=r["LINE_DEN_COEFF"], SAMP_SCALE=r["LINE_SCALE"],
+                            SAMP_OFF=repr(h - 1 - float(r["LINE_OFF"])), LINE_NUM_COEFF=r["SAMP_NUM_COEFF"],
+                            LINE_DEN_COEFF=r["SAMP_DEN_COEFF"], LINE_SCALE=r["SAMP_SCALE"], LINE_OFF=r["SAMP_OFF"])
+            self.bands, self.width, self.height = turned, h, w
+
+    def crop(self, x, y, width, height):
+        """Outside the image it is black."""
+        for b, band in enumerate(self.bands):
+            out = bytearray(width * height * self.depth)
+            for row in range(height):
+                source, first, last = row + y, max(x, 0), min(x + width, self.width)
+                if 0 <= source < self.height and first < last:
+                    out[(row * width + first - x) * self.depth:(row * width + last - x) * self.depth] = \
+                        band[(source * self.width + first) * self.depth:(source * self.width + last) * self.depth]
+            self.bands[b] = out
+        self.width, self.height = width, height
+        self.shift_camera(-x, -y)
+
+    def map(self, function, depth=1):
+        """Every value by a table; of 16 bits, function gives them."""
+        if depth == 2:
+            low = bytes(function(v) & 255 for v in range(256))
+            high = bytes(function(v) >> 8 for v in range(256))
+            for b, band in enumerate(self.bands):
+                out = bytearray(2 * len(band))
+                out[0::2], out[1::2] = band.translate(low), band.translate(high)
+                self.bands[b] = out
+            self.depth = 2
+        else:
+            table = bytes(function(v) for v in range(256))
+            self.bands = [bytearray(band.translate(table)) for band in self.bands]
+
+    def cloud(self, x, y, radius):
+        """A white disc."""
+        for band in self.bands:
+            for row in range(max(0, y - radius), min(self.height, y + radius)):
+                half = int((radius * radius - (row - y) ** 2) ** 0.5)
+                first, last = max(0, x - half), min(self.width, x + half)
+                band[row * self.width + first:row * self.width + last] = b"\xf5" * max(0, last - first)
+
+
+def cases(images):
+    """Name, images, flags of reconstruct, options of gdal_translate, ending."""
+    def changed(*changes):
+        out = []
+        for i, image in enumerate(images):
+            copy = Image(image.width, image.height, [bytearray(b) for b in image.bands], image.depth, dict(image.rpc))
+            for who, what in changes:
+                if who in (i, None):
+                    what(copy)
+            out.append(copy)
+        return out
+
+    def luminance(image):
+        image.bands = image.bands[1:2]
+
+    def bands(n):
+        def more(image):
+            image.bands = [bytearray(image.bands[k % 3]) for k in range(n)]
+        return more
+
+    w, h = images[0].width, images[0].height
+    tif = ([], ".tif")
+    yield "plain", changed(), [], *tif
+    yield "cameras off by 3 px", changed((0, lambda i: i.shift_camera(3, 0)), (1, lambda i: i.shift_camera(-1.5, 2.6)),
+                                         (2, lambda i: i.shift_camera(-1.5, -2.6))), [], *tif
+    yield "cameras off by 30 px", changed((0, lambda i: i.shift_camera(30, 0)), (1, lambda i: i.shift_camera(-15, 26)),
+                                          (2, lambda i: i.shift_camera(-15, -26))), [], *tif
+    yield "NITF with RPC00B", changed(), [], ["-of", "NITF"], ".ntf"
+    yield "JPEG 2000", changed(), [], ["-of", "JP2OpenJPEG", "-co", "QUALITY=25"], ".jp2"
+    for quarters in (1, 2, 3):
+        yield f"one image turned by {90 * quarters}", changed((1, lambda i, q=quarters: i.turn(q))), [], *tif
+    yield "all turned differently", changed((0, lambda i: i.turn(1)), (1, lambda i: i.turn(2)), (2, lambda i: i.turn(3))), [], *tif
+    yield "black borders", changed((None, lambda i: i.crop(-90, -60, w + 170, h + 140))), [], *tif
+    yield "different sizes", changed((1, lambda i: i.crop(40, 20, w - 60, h - 50)), (2, lambda i: i.crop(10, 50, w - 30, h - 90))), [], *tif
+    yield "11 bit", changed((None, lambda i: i.map(lambda v: 90 + 7 * v, 2))), [], *tif
+    yield "one band", changed((None, luminance)), [], *tif
+    yield "four bands", changed((None, bands(4))), [], *tif
+    yield "eight bands", changed((None, bands(8))), [], *tif
+    yield "one image with a cloud", changed((1, lambda i: i.cloud(w // 3, h // 2, w // 5))), [], *tif
+    yield "a range that misses", changed(), ["--height-range", "MISSES"], *tif
+    yield "a range of 2 km", changed(), ["--height-range", "WIDE"], *tif
+
+
+def main(program, folder, *wanted):
+    folder = Path(folder)
+    scratch = folder / "scratch"
+    if not (folder / "scene").exists():
+        run(program, "simulate", "--out", folder / "scene", "--scenes", 1, "--views", 3, "--pixels", 512, "--kinds", "suburb",
+            "--seed", 960001, "--quiet")
+    scratch.mkdir(exist_ok=True)
+    files = sorted((folder / "scene/Track3-RGB").glob("*.tif"))[:3]
+    truth = next((folder / "scene/Track3-Truth").glob("*_DSM.tif"))
+    images = [Image.read(f, scratch) for f in files]
+    statistics = run("gdalinfo", "-stats", "--config", "GDAL_PAM_ENABLED", "NO", truth).stdout
+    middle = float(re.search(r"STATISTICS_MEAN=(\S+)", statistics)[1])
+    ranges = {"MISSES": f"{middle + 150:.0f} {middle + 250:.0f}", "WIDE": f"{middle - 600:.0f} {middle + 1400:.0f}"}
+    plain = None
+    print("| case | mean error | of the plain one | cells found | warnings |\n| --- | --- | --- | --- | --- |")
+    for name, made, flags, options, ending in cases(images):
+        if wanted and name not in wanted and name != "plain":
+            continue
+        place = folder / re.sub(r"\W+", "_", name)
+        place.mkdir(exist_ok=True)
+        delivered = [place / f"image_{i + 1}{ending}" for i in range(3)]
+        try:
+            for image, path in zip(made, delivered):
+                image.write(path, scratch, *options)
+            flags = [part for flag in flags for part in ranges.get(flag, flag).split()]
+            run(program, "reconstruct", *delivered, "--out", place / "out", "--mesh", "none", "--overwrite", "--quiet", *flags)
+            run(program, "evaluate", "--dsm", place / "out/dsm.tif", "--truth", truth, "--register", "xyz", "--seen-by", *files,
+                "--json", place / "scores.json", "--overwrite")
+            scores = json.loads((place / "scores.json").read_text())["results"]
+            record = json.loads((place / "out/run.json").read_text())
+            error, found = scores["registered"]["mae"], scores["registered"]["completeness"]
+            plain = plain or error
+            warnings = "; ".join(w if isinstance(w, str) else w.get("text", str(w)) for w in record["warnings"])
+            print(f"| {name} | {error:.3f} m | {error / plain:.2f} | {100 * found:.1f} % | {warnings} |", flush=True)
+        except RuntimeError as e:
+            print(f"| {name} | | | | {e} |", flush=True)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 3:
+        sys.exit(__doc__)
+    main(*sys.argv[1:])
