@@ -20,7 +20,7 @@ constexpr double kScaleBias = -1.57;  // sigmoid -> 0.17: 0.6 pixels, neighbours
 /// 0.73 behind the sigmoid: front surfels dominate, those behind still get gradients.
 constexpr double kOpacityBias = 1.0;
 // Several views cover a place, so that each of them need not be opaque: all are seen, not the first.
-constexpr double kDiscOpacity = -0.5;
+constexpr double kDiscOpacity = -0.75;
 constexpr Index kPacked = 13;  // means 3, quats 4, scales 2, opacity 1, colours 3
 
 double sigmoid_of(double x) {

@@ -71,7 +71,7 @@ splat::BasicSurfels<T> surfels_from_maps(const SurfelMaps<T>& maps,
                                          Rotation rotation);
 
 /// Surfels that need no head: discs of 0.6 pixels that face the camera, in the image's colours, of
-/// opacity 0.38, since every place has those of several views.
+/// opacity 0.32, since every place has those of several views.
 /// height, image, confidence  as in `SurfelMaps`
 /// geometry                   N cameras at this resolution
 /// returns                    N*H*W surfels in the local frame

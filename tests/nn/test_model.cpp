@@ -119,7 +119,7 @@ TEST_CASE("discs lie where the surfels do, and are all alike") {
   CHECK(same(discs.means, surfels.means));
   CHECK(same(discs.aux, surfels.aux));
   CHECK(std::ranges::all_of(discs.opacity.value().values(),
-                            [](float v) { return std::abs(v - 0.3775f) < 1e-3f; }));
+                            [](float v) { return std::abs(v - 0.3208f) < 1e-3f; }));
   // 0.6 pixels of 0.5 m
   CHECK(std::ranges::all_of(discs.scales.value().values(),
                             [](float v) { return v > 0.25f && v < 0.35f; }));
