@@ -3,11 +3,11 @@
 # and for tests/layers.cmake.
 set(satsurf_internal_headers
   "_kernels\\.h$"
-  "/core/(simd|fields_json|files)\\.h$"
+  "/core/(simd|fields_json|files|whole)\\.h$"
   "/ops/weighted_sum\\.h$"
   "/ops/conv/(axes|engine|kernels|slab|weights|winograd)\\.h$"
   "/splat/bin\\.h$"
-  "/rpc/gdal\\.h$"
+  "/rpc/(camera_check|gdal)\\.h$"
   "/nn/parameter_limit\\.h$"
   "/mesh/sampled_view\\.h$"
   "/scene/(grey_pyramid|ray_walk|satnerf|sight_lines)\\.h$"

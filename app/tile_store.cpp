@@ -8,7 +8,9 @@
 #include "satsurf/core/safetensors.h"
 #include "satsurf/splat/ply.h"
 
+#include <cstdint>
 #include <string>
+#include <string_view>
 #include <system_error>
 
 #include <fcntl.h>
@@ -50,6 +52,50 @@ fs::path folder_beside(const fs::path& out) {
   path += ".tiles";
   return path;
 }
+
+/// Numbers of a tile's record.
+class Record {
+ public:
+  explicit Record(const fs::path& file) : file_(file.string()), json_(load_json_file(file)) {}
+
+  std::string text(const char* key) const {
+    const nlohmann::json& value = at(key);
+    if (!value.is_string()) refuse(key, value, "a text");
+    return value.get<std::string>();
+  }
+  double number(const char* key) const { return number(key, at(key)); }
+  Index count(const char* key) const {
+    const nlohmann::json& value = at(key);
+    constexpr std::uint64_t kMost = std::uint64_t{1} << 53;
+    if (!value.is_number_unsigned() || value.get<std::uint64_t>() > kMost)
+      refuse(key, value, "a count");
+    return value.get<Index>();
+  }
+  rpc::HeightRange range(const char* key) const {
+    const nlohmann::json& value = at(key);
+    if (!value.is_array() || value.size() != 2) refuse(key, value, "two numbers");
+    return {number(key, value[0]), number(key, value[1])};
+  }
+  [[noreturn]] void refuse(const char* key, const nlohmann::json& came, const char* wanted) const {
+    throw IoError(file_ + ": " + key + " is " + came.dump().substr(0, 200) + ", expected " +
+                  wanted + "; not the record of a tile?");
+  }
+
+ private:
+  const nlohmann::json& at(const char* key) const {
+    const auto found = json_.is_object() ? json_.find(key) : json_.end();
+    if (!json_.is_object() || found == json_.end())
+      throw IoError(file_ + ": no " + key + ", expected the record of a tile");
+    return *found;
+  }
+  double number(const char* key, const nlohmann::json& value) const {
+    if (!value.is_number()) refuse(key, value, "a number");
+    return value.get<double>();
+  }
+
+  std::string file_;
+  nlohmann::json json_;
+};
 
 }  // namespace
 
@@ -114,17 +160,16 @@ fs::path TileStore::surfels_of(const reconstruct::Tile& tile) const {
 std::optional<TileRecord> TileStore::find(const reconstruct::Tile& tile) const {
   const fs::path file = folder_ / (file_of(tile).stem().string() + ".json");
   if (!is_file(file)) return std::nullopt;
-  const nlohmann::json j = load_json_file(file);
+  const Record record(file);
   TileRecord out;
-  try {
-    out.status = j.at("status");
-    out.seconds = j.at("seconds"), out.found = j.at("found"), out.expected = j.at("expected");
-    out.window = j.at("window"), out.surfels = j.at("surfels");
-    out.z_range = {j.at("z_range").at(0), j.at("z_range").at(1)};
-    out.camera_fit_max_px = j.at("camera_fit_max_px");
-  } catch (const nlohmann::json::exception& e) {
-    throw IoError(file.string() + ": " + e.what() + ", expected the record of a tile");
-  }
+  out.status = record.text("status");
+  if (out.status != "done" && out.status != "empty" && out.status != "failed")
+    record.refuse("status", out.status, "done, empty or failed");
+  out.seconds = record.number("seconds");
+  out.found = record.count("found"), out.expected = record.count("expected");
+  out.window = record.count("window"), out.surfels = record.count("surfels");
+  out.z_range = record.range("z_range");
+  out.camera_fit_max_px = record.number("camera_fit_max_px");
   return out;
 }
 
@@ -165,6 +210,19 @@ reconstruct::TileSurface TileStore::load(const reconstruct::Tile& tile) const {
   out.heights = take("heights", true), out.confidence = take("confidence", true);
   out.views = take("views", true), out.sigma = take("sigma", false);
   out.ortho = take("ortho", false);
+  const auto check = [&](const char* name, const Tensor& t, const reconstruct::CellRect& cells) {
+    const Index rank = t.rank();
+    const bool planes = t.rank() == 3 && std::string_view(name) == "ortho";
+    if ((planes || rank == 2) && t.dim(rank - 2) == cells.height() &&
+        t.dim(rank - 1) == cells.width())
+      return;
+    throw IoError(path.string() + ": " + name + " has shape " + t.shape().str() + ", expected " +
+                  Shape{cells.height(), cells.width()}.str() + " of this tile");
+  };
+  check("heights", out.heights, tile.all), check("confidence", out.confidence, tile.all);
+  check("views", out.views, tile.core);
+  if (!out.sigma.empty()) check("sigma", out.sigma, tile.all);
+  if (!out.ortho.empty()) check("ortho", out.ortho, tile.core);
   return out;
 }
 

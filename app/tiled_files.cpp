@@ -139,6 +139,10 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
       const Tile& tile = tiling.tiles[at(r, c)];
       if (records[at(r, c)].status != "done") continue;
       const reconstruct::TileSurface part = store.load(tile);
+      if (part.sigma.empty() == has_sigma || (!part.ortho.empty() && part.ortho.dim(0) != bands))
+        throw IoError(store.path().string() + ": tile " + std::to_string(tile.row) + " " +
+                      std::to_string(tile.column) +
+                      " has other rasters than the others, expected the tiles of one run");
       heights.add(tile, part.heights);
       sure.add(tile, part.confidence);
       if (has_sigma) expected.add(tile, part.sigma);

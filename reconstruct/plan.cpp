@@ -9,12 +9,15 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <sstream>
 #include <utility>
 
 namespace satsurf::reconstruct {
 namespace {
 
-constexpr Index kTile = 768;  // px; keeps the largest volume near 0.3 GB
+constexpr Index kTile = 768;               // px; keeps the largest volume near 0.3 GB
+constexpr double kMostCells = 2147483647;  // a side, as rasters count them
+constexpr double kMostTiles = 1e6;
 
 /// The corners, the middles of the sides and the middle of an image.
 std::array<rpc::Pixel, 9> outline(const scene::View& v) {
@@ -70,6 +73,13 @@ Ground common_ground(const scene::Scene& scene) {
 }
 
 Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step) {
+  const double columns = ground.width() / step, rows = ground.height() / step;
+  if (!(step > 0 && columns < kMostCells && rows < kMostCells)) {
+    std::ostringstream text;
+    text << "a surface of " << ground.width() << " x " << ground.height() << " m in cells of "
+         << step << " m, expected fewer than 2^31 cells a side; wrong cameras?";
+    throw Error(text.str());
+  }
   Grid grid;
   grid.step = step;
   grid.east = std::floor((ground.x0 + frame.easting0) / step) * step - frame.easting0;
@@ -79,7 +89,7 @@ Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step) {
   return grid;
 }
 
-double natural_step(double footprint) { return std::round(footprint * 20) / 20; }
+double natural_step(double footprint) { return std::max(0.05, std::round(footprint * 20) / 20); }
 
 namespace {
 
@@ -98,7 +108,14 @@ double tile_side(Index window, const std::vector<rpc::PixelJacobian>& cameras, d
 }
 
 /// Equal tiles that cover a ground, row by row from the south-west.
+/// throws  Error for more than anybody waits for
 std::vector<Ground> tiles_of(const Ground& ground, double side) {
+  if (!(side > 0 && (1 + ground.width() / side) * (1 + ground.height() / side) < kMostTiles)) {
+    std::ostringstream text;
+    text << "a ground of " << ground.width() << " x " << ground.height() << " m in tiles of "
+         << side << " m, expected fewer than a million; wrong cameras?";
+    throw Error(text.str());
+  }
   const Index columns = std::max<Index>(1, static_cast<Index>(std::ceil(ground.width() / side))),
               rows = std::max<Index>(1, static_cast<Index>(std::ceil(ground.height() / side)));
   const double w = ground.width() / static_cast<double>(columns),

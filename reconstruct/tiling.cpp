@@ -12,9 +12,10 @@
 namespace satsurf::reconstruct {
 namespace {
 
-constexpr Index kOverlap = 32;       // cells; twice as many blend two neighbours
-constexpr Index kSlack = 8;          // px of a window for rounding and interpolation
-constexpr double kLocal = 0.2;       // of a window, for the parallax of a tile's heights
+constexpr Index kOverlap = 32;  // cells; twice as many blend two neighbours
+constexpr Index kSlack = 8;     // px of a window for rounding and interpolation
+constexpr double kLocal = 0.2;  // of a window, for the parallax of a tile's heights
+constexpr double kMostTiles = 1e6;
 constexpr Index kLeastWindow = 256;  // px; below, hardly anything is left between the overlaps
 
 /// What the program takes beside one tile's work: the reduced copies, the windows of the next tile
@@ -57,6 +58,7 @@ double memory_of_rows(const Tiling& tiling, bool colour) {
 Index boundary(Index cells, Index parts, Index k) { return cells * k / parts; }
 
 /// Tiles of a grid whose cores have at most so many cells a side.
+/// throws  Error for more than anybody waits for
 void cut(Tiling& tiling, Index most_wide, Index most_high) {
   const Index W = tiling.grid.width, H = tiling.grid.height, m = tiling.overlap;
   const auto parts = [&](Index cells, Index most) {
@@ -65,6 +67,10 @@ void cut(Tiling& tiling, Index most_wide, Index most_high) {
     return (cells + core - 1) / core;
   };
   tiling.columns = parts(W, most_wide), tiling.rows = parts(H, most_high);
+  if (static_cast<double>(tiling.columns) * static_cast<double>(tiling.rows) > kMostTiles)
+    throw Error("a surface of " + std::to_string(W) + " x " + std::to_string(H) + " cells in " +
+                std::to_string(tiling.columns) + " x " + std::to_string(tiling.rows) +
+                " tiles, expected at most a million; wrong cameras?");
   for (Index r = 0; r < tiling.rows; ++r)
     for (Index c = 0; c < tiling.columns; ++c) {
       const CellRect core{boundary(W, tiling.columns, c), boundary(H, tiling.rows, r),
@@ -163,7 +169,12 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
       const double room = std::max(S - std::abs(row[2]) * scene.z_range.span(), (1 - kLocal) * S);
       side = std::min(side, room / (std::abs(row[0]) + std::abs(row[1])));
     }
-  const auto most = static_cast<Index>(side / out.grid.step);
+  // A window that holds all of it may be larger than any number of cells; one of NaN holds none.
+  const double held = side / out.grid.step;
+  const Index all = std::max(out.grid.width, out.grid.height);
+  const Index most = held < static_cast<double>(all)    ? static_cast<Index>(held)
+                     : held >= static_cast<double>(all) ? all
+                                                        : 0;
   cut(out, most, most);
   double local = 0;  // of the range what windows have room for
   for (const rpc::PixelJacobian& camera : cameras)

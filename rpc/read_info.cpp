@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/files.h"
+#include "satsurf/rpc/camera_check.h"
 #include "satsurf/rpc/gdal.h"
 #include "satsurf/rpc/read.h"
 
@@ -201,7 +202,8 @@ RasterInfo info_of(const fs::path& path, GDALDataset& d) {
       find_item(domains, {"ACQUISITION_DATE", "ACQUISITIONDATETIME", "*FIRSTLINETIME",
                           "NITF_STDIDC_ACQUISITION_DATE", "NITF_IDATIM"});
   const auto low = find_number(domains, {"MIN_ALT"}), high = find_number(domains, {"MAX_ALT"});
-  if (low && high && *low < *high) info.height_range = HeightRange{*low, *high};
+  if (low && high && *low < *high && on_earth({*low, *high}))
+    info.height_range = HeightRange{*low, *high};
 
   int has_nodata = 0;
   const double nodata = first->GetNoDataValue(&has_nodata);

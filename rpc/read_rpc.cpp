@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/files.h"
+#include "satsurf/rpc/camera_check.h"
 #include "satsurf/rpc/gdal.h"
 #include "satsurf/rpc/read.h"
 
@@ -80,14 +81,8 @@ void check_scalar(const Scalar& s, double value, const std::string& where) {
   if (scale && std::abs(value) < 1e-9) refuse("at least 1e-9");
 }
 
-/// Zero scales and denominators would only surface as NaN much later.
 Rpc checked(const Rpc& rpc, const std::string& where) {
-  for (const Scalar& s : kScalars) check_scalar(s, rpc.*s.member, where);
-  for (const Polynomial& p : kPolynomials) {
-    const auto& c = rpc.*p.member;
-    if (std::all_of(c.begin(), c.end(), [](double v) { return v == 0; }))
-      throw IoError(where + ": all of " + p.key + " are 0, expected a polynomial");
-  }
+  check_camera(rpc, where);
   return rpc;
 }
 
@@ -265,6 +260,10 @@ SatNerfJson satnerf_from_json(const Json& j, const std::string& where) {
   out.max_alt = number(member(j, "max_alt", where), "max_alt", where);
   if (!(out.min_alt < out.max_alt))
     throw IoError(where + ": key \"min_alt\" is not below \"max_alt\"");
+  if (!on_earth({out.min_alt, out.max_alt}))
+    throw IoError(where + ": keys \"min_alt\" and \"max_alt\" are " +
+                  member(j, "min_alt", where).dump() + " and " +
+                  member(j, "max_alt", where).dump() + ", expected at most 1000 km either way");
   if (j.contains("sun_elevation"))
     out.sun_elevation_deg = number(j.at("sun_elevation"), "sun_elevation", where);
   if (j.contains("sun_azimuth"))
@@ -275,6 +274,19 @@ SatNerfJson satnerf_from_json(const Json& j, const std::string& where) {
 }
 
 }  // namespace
+
+void check_camera(const Rpc& rpc, const std::string& where) {
+  for (const Scalar& s : kScalars) check_scalar(s, rpc.*s.member, where);
+  for (const Polynomial& p : kPolynomials) {
+    const auto& c = rpc.*p.member;
+    for (const double v : c)
+      if (!std::isfinite(v))
+        throw IoError(where + ": " + p.key + " holds " + std::to_string(v) +
+                      ", expected finite numbers");
+    if (std::all_of(c.begin(), c.end(), [](double v) { return v == 0; }))
+      throw IoError(where + ": all of " + p.key + " are 0, expected a polynomial");
+  }
+}
 
 Rpc rpc_from_gdal_metadata(const Items& items, const std::string& where) {
   Rpc rpc;

@@ -6,10 +6,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <sstream>
 #include <utility>
 
 namespace satsurf::scene {
 namespace {
+
+constexpr double kFarthest = 1e9;  // px
 
 /// [a, b) of a window clipped to [0, n).
 Tensor cut(const Tensor& image, Index x0, Index y0, Index size) {
@@ -67,6 +70,12 @@ Crop make_crop(const Scene& scene, const CropOptions& options) {
     const rpc::Pixel pixel = from.rpc.project(centre);
     const double half = (static_cast<double>(size) - 1) / 2;
     const double x0 = std::round(pixel.x - half), y0 = std::round(pixel.y - half);
+    if (!(std::abs(x0) <= kFarthest && std::abs(y0) <= kFarthest)) {
+      std::ostringstream text;
+      text << "make_crop: " << from.label() << " sees the middle at (" << pixel.x << ", " << pixel.y
+           << ") px, expected at most 1e9 either way";
+      throw Error(text.str());
+    }
     origins[i] = {static_cast<Index>(x0), static_cast<Index>(y0)};
     if (i < N) quarters[i] = quarters_to_north(from.rpc, centre);
     cameras[i] = from.rpc.cropped(x0, y0).turned(quarters[i], size, size);

@@ -43,6 +43,7 @@ struct CropOptions {
 
 /// Cuts windows of the views around one ground point. Pixels outside an image are invalid. Every
 /// camera is fitted over its window and the height range, once.
+/// throws  Error for a camera that sees the middle nowhere near its image
 Crop make_crop(const Scene& scene, const CropOptions& options);
 
 /// Makes true heights of sources unknown where a pixel holds no image: there is nothing to find.

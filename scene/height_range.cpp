@@ -2,6 +2,7 @@
 #include "satsurf/scene/height_range.h"
 
 #include "satsurf/core/parallel.h"
+#include "satsurf/core/whole.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/rpc/fit.h"
 
@@ -75,7 +76,7 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
   for (Index i = 0; i < H * W; ++i) {
     if (a.valid[i] < 1) continue;
     const auto q = b_from_a(static_cast<double>(i % W), static_cast<double>(i / W), z);
-    const Index x = static_cast<Index>(std::floor(q[0])), y = static_cast<Index>(std::floor(q[1]));
+    const Index x = floored(q[0]), y = floored(q[1]);
     if (x < 0 || y < 0 || x + 1 >= w || y + 1 >= h || b.valid[y * w + x] < 1) continue;
     const float fx = static_cast<float>(q[0]) - static_cast<float>(x),
                 fy = static_cast<float>(q[1]) - static_cast<float>(y);
@@ -163,9 +164,7 @@ rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRa
   };
   const double core_low = percentile(0.05), core_high = percentile(0.95);
   std::map<Index, Index> count;  // by bin, outside the core
-  const auto bin_of = [](float z) {
-    return static_cast<Index>(std::floor(static_cast<double>(z) / kBin));
-  };
+  const auto bin_of = [](float z) { return floored(static_cast<double>(z) / kBin); };
   const auto outside = [&](float z) {
     return static_cast<double>(z) < core_low || static_cast<double>(z) > core_high;
   };
@@ -227,7 +226,7 @@ rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& s
   // disparity between tried heights; correlation survives half of it
   constexpr double kStepPx = 0.75;
   const double span = searched.span();
-  const Index steps = std::clamp<Index>(static_cast<Index>(span * parallax / kStepPx) + 1, 8, 2000);
+  const Index steps = std::clamp<Index>(floored(span * parallax / kStepPx) + 1, 8, 2000);
 
   const Index P = coarse[0].grey.count();
   Tensor best({P}, -1.f), rival({P}, -1.f), where({P}, 0.f);

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/error.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/rpc/camera_check.h"
 
 #include <algorithm>
 #include <cmath>
@@ -31,6 +32,12 @@ void check_sizes(const ImageInMemory& image, std::size_t values) {
 template <class V>
 rpc::Image image_of(const ImageInMemory& from, std::span<const V> values, const char* dtype) {
   check_sizes(from, values.size());
+  const std::string where = "scene_from_images: " + from.name;
+  rpc::check_camera(from.rpc, where);
+  if (from.height_range && !rpc::on_earth(*from.height_range))
+    throw Error(where + ": heights from " + std::to_string(from.height_range->low) + " to " +
+                std::to_string(from.height_range->high) +
+                " m, expected at most 1000 km either way");
   const Index C = from.channels, P = from.width * from.height;
   rpc::Image out;
   out.pixels = Tensor::uninitialised({C, from.height, from.width});

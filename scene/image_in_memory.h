@@ -38,8 +38,8 @@ struct ImageInMemory {
 /// height_range   m above the ellipsoid; else what the images name, else it is searched for
 /// poll           called often, may throw to stop
 /// rules          what of every image does not count, and what becomes of the cameras
-/// throws         Error for images without overlap or parallax, or whose sizes and values do not
-///                fit; ConfigError for a range that is not the cameras'
+/// throws         Error for images without overlap or parallax, or whose sizes, values, heights or
+///                cameras are none; ConfigError for a range that is not the cameras'
 UserScene scene_from_images(const std::vector<ImageInMemory>& images,
                             const std::optional<rpc::HeightRange>& height_range = {},
                             const std::function<void()>& poll = {}, const ViewRules& rules = {});

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/core/whole.h"
 #include "satsurf/scene/ray_walk.h"
 
 namespace satsurf::scene {
@@ -43,7 +44,7 @@ struct Axis {
 };
 
 Index cell_of(double position, Index first, Index count) {
-  return std::clamp(static_cast<Index>(std::floor(position)), first, first + count - 1);
+  return std::clamp(floored(position), first, first + count - 1);
 }
 
 }  // namespace

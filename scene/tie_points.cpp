@@ -2,6 +2,7 @@
 #include "satsurf/scene/tie_points.h"
 
 #include "satsurf/core/parallel.h"
+#include "satsurf/core/whole.h"
 #include "satsurf/rpc/fit.h"
 #include "satsurf/scene/grey_pyramid.h"
 #include "satsurf/scene/view_geometry.h"
@@ -119,7 +120,7 @@ struct Fit {
 /// The best whole pixel within `reach` of `near`, refined by a parabola along each axis; nothing
 /// where the search leaves the image or the best lies at its rim.
 std::optional<Fit> search(const Template& t, const Grey& image, const Vec& near, Index reach) {
-  const Index x0 = std::lround(near[0]) - reach, y0 = std::lround(near[1]) - reach,
+  const Index x0 = floored(std::round(near[0])) - reach, y0 = floored(std::round(near[1])) - reach,
               side = 2 * reach + 1, r = t.radius;
   if (x0 - r < 0 || y0 - r < 0 || x0 + side + r > image.width || y0 + side + r > image.height)
     return std::nullopt;
@@ -237,8 +238,9 @@ class Pair {
     const Vec middle{static_cast<double>(a_[0].width) / 2, static_cast<double>(a_[0].height) / 2};
     const Vec low = seen(middle, heights_.low), high = seen(middle, heights_.high);
     const double run = std::hypot(high[0] - low[0], high[1] - low[1]);
-    const Turned turned(
-        to, run > 1 ? Vec{(high[0] - low[0]) / run, (high[1] - low[1]) / run} : Vec{1, 0});
+    const Turned turned(to, run > 1 && std::isfinite(run)
+                                ? Vec{(high[0] - low[0]) / run, (high[1] - low[1]) / run}
+                                : Vec{1, 0});
     const auto reach = static_cast<Index>(std::ceil(reach_ / side)) + 1;
     const Index shifts = 2 * reach + 1, r = kCoarseRadius;
 
@@ -258,15 +260,13 @@ class Pair {
                                  {Vec{along[0], across[0]}, Vec{along[1], across[1]}}, r);
       if (!t) return;
       const auto slack = static_cast<double>(reach);
-      const Index first = std::max<Index>(
-                      r, static_cast<Index>(std::floor(std::min(ends[0][0], ends[1][0]) - slack))),
-                  last = std::min<Index>(
-                      turned.grey.width - 1 - r,
-                      static_cast<Index>(std::ceil(std::max(ends[0][0], ends[1][0]) + slack)));
+      const Index first = std::max<Index>(r, floored(std::min(ends[0][0], ends[1][0]) - slack)),
+                  last = std::min<Index>(turned.grey.width - 1 - r,
+                                         -floored(-(std::max(ends[0][0], ends[1][0]) + slack)));
       if (last < first) return;
       std::vector<float> score(static_cast<std::size_t>(last - first + 1));
       for (Index s = 0; s < shifts; ++s) {
-        const Index row = static_cast<Index>(std::round(at[1])) + s - reach;
+        const Index row = floored(std::round(at[1])) + s - reach;
         if (row < r || row >= turned.grey.height - r) continue;
         multiply_row(*t, turned.grey, first, row, last - first + 1, score.data());
         const float* scale = turned.scale.row(row) + first;
@@ -343,8 +343,12 @@ class Pair {
       const auto j = map_.jacobian(p[0], p[1], heights_.middle());
       const double length = std::max(1e-12, std::hypot(j[0][2], j[1][2]));
       const Vec at = seen(p, heights_.middle());
-      offsets.push_back(
-          {(j[0][2] * ((*found[k])[1] - at[1]) - j[1][2] * ((*found[k])[0] - at[0])) / length, k});
+      const double offset =
+          (j[0][2] * ((*found[k])[1] - at[1]) - j[1][2] * ((*found[k])[0] - at[0])) / length;
+      if (std::isfinite(offset))
+        offsets.push_back({offset, k});
+      else
+        found[k].reset();
     }
     std::sort(offsets.begin(), offsets.end());
     std::size_t begin = 0, most = 0;

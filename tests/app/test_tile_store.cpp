@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/tile_store.h"
 #include "satsurf/core/error.h"
+#include "satsurf/core/safetensors.h"
 
 #include <filesystem>
 #include <string>
+#include <tuple>
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
@@ -108,4 +110,55 @@ TEST_CASE("a run that finished no tile leaves nothing") {
     store.begin({{"a", 1}});
   }
   CHECK(std::filesystem::is_empty(folder.path()));
+}
+
+TEST_CASE("a damaged record of a tile is named for what is wrong in it") {
+  const TempFolder folder("tiles");
+  TileStore store(folder / "out", false, false);
+  store.save(kTile, record(), surface());
+  const auto file = folder / "out.tiles/tile_0001_0002.json";
+  const std::string good = test::read_bytes(file);
+  const auto error = [&](const std::string& from, const std::string& to) {
+    std::string text = good;
+    const auto at = text.find(from);
+    REQUIRE(at != std::string::npos);
+    test::write_bytes(file, text.replace(at, from.size(), to));
+    return test::error_of<IoError>([&] { store.find(kTile); });
+  };
+  const std::string end = "; not the record of a tile?";
+  // as a whole number these were undefined
+  CHECK(error("\"window\":256", "\"window\":1e300") ==
+        file.string() + ": window is 1e+300, expected a count" + end);
+  CHECK(error("\"found\":11", "\"found\":-1") ==
+        file.string() + ": found is -1, expected a count" + end);
+  CHECK(error("\"seconds\":1.5", "\"seconds\":null") ==
+        file.string() + ": seconds is null, expected a number" + end);
+  CHECK(error("\"done\"", "\"over\"") ==
+        file.string() + ": status is \"over\", expected done, empty or failed" + end);
+  CHECK(error("[-3.25,17.125]", "[-3.25]") ==
+        file.string() + ": z_range is [-3.25], expected two numbers" + end);
+  CHECK(error("\"surfels\"", "\"others\"") ==
+        file.string() + ": no surfels, expected the record of a tile");
+  CHECK(error(good, "[]") == file.string() + ": no status, expected the record of a tile");
+}
+
+TEST_CASE("rasters of other cells than their tile's are refused") {
+  const TempFolder folder("tiles");
+  TileStore store(folder / "out", false, false);
+  store.save(kTile, record(), surface());
+  const auto file = folder / "out.tiles/tile_0001_0002.safetensors";
+  const TensorFile good = load_safetensors(file);
+  for (const auto& [name, shape, expected] : {std::tuple{"heights", Shape{1, 1}, "[7,8]"},
+                                              {"confidence", Shape{8, 7}, "[7,8]"},
+                                              {"views", Shape{12}, "[3,4]"},
+                                              {"sigma", Shape{3, 4}, "[7,8]"},
+                                              {"ortho", Shape{1, 3, 3}, "[3,4]"},
+                                              {"views", Shape{1, 3, 4}, "[3,4]"}}) {
+    TensorFile wrong = good;
+    wrong.tensors[name] = Tensor(shape, 1.f);
+    save_safetensors(file, wrong);
+    CHECK(test::error_of<IoError>([&] { store.load(kTile); }) ==
+          file.string() + ": " + name + " has shape " + shape.str() + ", expected " + expected +
+              " of this tile");
+  }
 }

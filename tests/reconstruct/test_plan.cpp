@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "tests/reconstruct/simulated.h"
+#include "tests/temp_folder.h"
 #include <doctest/doctest.h>
 
 using namespace satsurf;
@@ -126,4 +127,21 @@ TEST_CASE("views of different places are refused") {
   scene.views[1].rpc.lon_off += 0.01;  // a kilometre
   CHECK_THROWS_WITH_AS(plan_reconstruction(nn::model_preset("tiny"), scene, {}),
                        "no two images see the same ground, expected overlapping views", Error);
+}
+
+TEST_CASE("a surface of more cells than there can be is refused, whatever made it so large") {
+  const rpc::LocalFrame frame;
+  CHECK(grid_of({0, 0, 10, 10}, frame, 0.5).width == 20);
+  for (const double step : {0.0, -1.0, 1e-9, std::nan("")})
+    CHECK_THROWS_AS(grid_of({0, 0, 10, 10}, frame, step), Error);
+  for (const double far : {1e300, double{INFINITY}, std::nan("")})
+    CHECK_THROWS_AS(grid_of({0, 0, far, 10}, frame, 0.5), Error);
+  CHECK(test::error_of<Error>([&] {
+          grid_of({0, 0, 4e9, 10}, frame, 0.5);
+        }) ==
+        "a surface of 4e+09 x 10 m in cells of 0.5 m, expected fewer than 2^31 cells a side; wrong "
+        "cameras?");
+  // pixels of a centimetre round to cells of nothing
+  CHECK(natural_step(0.01) == 0.05);
+  CHECK(natural_step(0.52) == doctest::Approx(0.5));
 }

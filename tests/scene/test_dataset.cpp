@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
@@ -10,6 +11,7 @@
 #include <fstream>
 #include <string>
 
+#include "tests/made_view.h"
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
 #include <nlohmann/json.hpp>
@@ -145,6 +147,22 @@ TEST_CASE("pixels outside an image are invalid") {
   CHECK(seen <= 96 * 96);
   CHECK_FALSE(crop.target.has_value());
   CHECK(crop.source_truth.empty());
+}
+
+TEST_CASE("a camera that sees the middle of a crop nowhere near its image is named") {
+  Scene scene;
+  scene.views = {test::view_from("a", -0.3), test::view_from("b", 0.3)};
+  scene.frame.zone = rpc::utm_zone_of(21, 10);
+  const auto middle = rpc::utm_from_geodetic(scene.frame.zone, 21, 10);
+  scene.frame.easting0 = middle[0], scene.frame.northing0 = middle[1];
+  const auto crop = [&] {
+    return make_crop(scene, {.sources = {0, 1}, .size = 32, .z_range = {0, 40}});
+  };
+  CHECK(crop().input.sources.size() == 2);
+  for (const double shift : {1e300, double{INFINITY}, std::nan("")}) {
+    scene.views[1].rpc.samp_num[0] = shift;  // its pixels are no whole numbers
+    CHECK(test::error_of<Error>(crop).starts_with("make_crop: b sees the middle at ("));
+  }
 }
 
 TEST_CASE("a Sat-NeRF folder holds the same scene as Track3 files") {

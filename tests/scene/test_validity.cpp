@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/scene/image_in_memory.h"
 #include "satsurf/scene/validity.h"
@@ -8,6 +9,8 @@
 #include <span>
 #include <vector>
 
+#include "tests/made_view.h"
+#include "tests/temp_folder.h"
 #include <doctest/doctest.h>
 
 using namespace satsurf;
@@ -111,6 +114,22 @@ TEST_CASE("values that are named say nothing where every channel has one") {
   CHECK(found.valid[30 * kWidth + 7] == 0);
   CHECK(found.valid[30 * kWidth + 8] == 1);
   CHECK(apply({.borders = false}, pixels, all_valid()).valid[30 * kWidth + 7] == 1);
+}
+
+TEST_CASE("cameras and heights of images in memory are refused as those of files are") {
+  const std::vector<std::uint8_t> values(32 * 32, 7);
+  ImageInMemory image{"a", test::view_from("a", 0.3).rpc,        32, 32,
+                      1,   std::span<const std::uint8_t>(values)};
+  const auto says = [&] {
+    return test::error_of<Error>([&] { scene_from_images({image, image}); });
+  };
+  image.height_range = rpc::HeightRange{-1e300, 1e300};
+  CHECK(says().ends_with(" m, expected at most 1000 km either way"));
+  image.height_range.reset();
+  image.rpc.line_num[2] = std::nan("");
+  CHECK(test::error_of<IoError>([&] {
+          scene_from_images({image, image});
+        }) == "scene_from_images: a: LINE_NUM_COEFF holds nan, expected finite numbers");
 }
 
 TEST_CASE("a scene with undeclared borders is the scene with declared ones") {

@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+// Weights, configurations, tiles, data sets and changes of cameras, for the targets that make something of files.
+//   fuzz_make_networks FOLDER
+#include "satsurf/app/tile_store.h"
+#include "satsurf/core/fields_json.h"
+#include "satsurf/core/safetensors.h"
+#include "satsurf/nn/adamw.h"
+#include "satsurf/nn/config.h"
+#include "satsurf/nn/weights_file.h"
+
+#include "tests/fuzz/seeds.h"
+#include "tests/ref/rpc_dialects.h"
+#include "tests/ref/synthetic_rpc.h"
+
+namespace satsurf::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+using namespace test::dialects;
+
+void networks() {
+  const auto put_file = [](const std::string& target, const std::string& name,
+                           const TensorFile& file) {
+    put(target, name,
+        written("f.safetensors", [&](const fs::path& p) { save_safetensors(p, file); }));
+  };
+  TensorFile mono, surface, configured;
+  nn::store_mono(mono, nn::Mono(nn::MonoConfig{1}, 0));
+  const nn::SurfaceModel network(nn::SurfaceConfig{1}, 0);
+  nn::store_surface(surface, network);
+  configured.metadata = {{"format", "satsurf-1"},
+                         {"model", to_json(nn::model_preset("tiny")).dump()}};
+  put_file("weights", "mono", mono);
+  put_file("weights", "surface", surface);
+  put_file("weights", "model_without_parameters", configured);
+  configured.metadata["model"] = to_json(nn::model_preset("tiny_full")).dump();
+  put_file("weights", "full_without_parameters", configured);
+  configured.metadata["model"] = R"({"base":1,"volume_base":1,"head_width":[1,1,1]})";
+  put_file("weights", "smallest_without_parameters", configured);
+  TensorFile checkpoint;
+  nn::SurfaceModel trained(nn::SurfaceConfig{1}, 0);
+  nn::AdamW(trained.parameters(), {}).store(checkpoint);
+  put_file("weights", "optimiser", checkpoint);
+}
+
+void configurations() {
+  put("json", "record",
+      R"({"program":"satsurf","command":"reconstruct","config":{"images":["a.tif"],"height_range":[0,50],)"
+      R"("surface":"plain","mesh":"none"}})");
+  put("json", "simulate",
+      R"({"scenes":2,"kinds":["city","rural"],"kind_weights":[1,2.5],"gsd":0.5})");
+  put("json", "train",
+      R"({"task":"cascade","preset":"base8","steps":10,"model":{"base":8,"hypotheses":[48,16,8],"rotation":"camera"},)"
+      R"("simulate":{"pixels":64}})");
+  put("json", "model", to_json(nn::model_preset("tiny")).dump());
+  put("json", "flag", "height_range 0,50");
+}
+
+void data_sets() {
+  const rpc::Rpc camera = test::synthetic_rpc();
+  const std::string in_set = as_satnerf(camera, "S_001_RGB.tif", 8, 8).dump();
+  put("dataset", "satnerf", std::string("\0S_001_RGB.json\n\0S_001_RGB.json\n\0", 34) + in_set);
+  put("dataset", "eogs", '\1' + in_set + '\0' + in_set);
+  put("dataset", "dfc",
+      "\2"
+      "500000.0\n5000000.0\n8\n0.5\n" +
+          std::string(1, '\0') + as_text(camera));
+}
+
+void tiles_and_changes() {
+  const reconstruct::Tile tile{1, 2, {10, 20, 14, 23}, {8, 18, 16, 25}};
+  reconstruct::TileSurface surface;
+  surface.empty = false;
+  surface.heights = ramp({7, 8}), surface.confidence = ramp({7, 8}), surface.sigma = ramp({7, 8});
+  surface.views = ramp({3, 4}), surface.ortho = ramp({1, 3, 4});
+  app::TileRecord record;
+  record.status = "done", record.seconds = 1.5, record.window = 256, record.z_range = {-3, 17};
+  {
+    app::TileStore store(folder().path() / "out", false, true);
+    store.save(tile, record, surface);
+    const fs::path tiles = store.path();
+    put("tile", "plan", std::string(1, '\0') + R"({"a": 2})");
+    put("tile", "record", '\1' + bytes_of(tiles / "tile_0001_0002.json"));
+    put("tile", "rasters", '\2' + bytes_of(tiles / "tile_0001_0002.safetensors"));
+    put("tile", "work", "\3out.partial-123");
+    store.remove();
+  }
+  const auto change = [](int which, int how, double value) {
+    std::string out{static_cast<char>(which), static_cast<char>(how)};
+    return out.append(reinterpret_cast<const char*>(&value), sizeof value);
+  };
+  put("cameras", "dates",
+      "\x10"
+      "2015-09-30T10:56:56Z 20160215 " +
+          change(1, 2, 3.0));
+  for (const char* target : {"cameras", "scene"}) {
+    const std::string plain(1, '\0');
+    put(target, "as_they_are", plain);
+    put(target, "shifted", plain + change(1, 2, 3.0) + change(2, 6, 1e-4));
+    put(target, "no_denominator", plain + std::string("\x1e\3\0", 3));
+    put(target, "not_finite", plain + std::string("\x0b\7\2", 3));
+    put(target, "tilted", plain + change(13, 0, 2.5) + change(33, 1, -1));
+  }
+}
+
+}  // namespace
+}  // namespace satsurf::fuzz
+
+int main(int argc, char** argv) {
+  using namespace satsurf::fuzz;
+  if (!takes_folder(argc, argv)) return 2;
+  networks();
+  configurations();
+  data_sets();
+  tiles_and_changes();
+}

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+// The tiles that a stopped run has left: plan, record, rasters and the note of its work.
+#include "satsurf/app/tile_store.h"
+
+#include <cmath>
+
+#include "tests/fuzz/fuzz.h"
+
+namespace satsurf::fuzz {
+
+constexpr const char* kNames[] = {"plan.json", "tile_0001_0002.json", "tile_0001_0002.safetensors",
+                                  "work"};
+
+void run(std::string_view bytes) {
+  Bytes in(bytes);
+  const char* name = kNames[in.take<std::uint8_t>() % 4];
+  const auto tiles = folder().path() / "out.tiles";
+  std::filesystem::create_directories(tiles);
+  folder().put("out.tiles/plan.json", "{\"a\": 1.5}");
+  folder().put(std::string("out.tiles/") + name, in.rest());
+  const reconstruct::Tile tile{1, 2, {10, 20, 14, 23}, {8, 18, 16, 25}};
+  {
+    app::TileStore store(folder().path() / "out", true, false);
+    only<IoError, ConfigError>([&] { store.begin({{"a", 1.5}}); });
+    only<IoError>([&] { store.note_work(folder().path() / "out.partial-1"); });
+    only<IoError>([&] {
+      if (const auto record = store.find(tile))
+        require(std::isfinite(record->z_range.low) && std::isfinite(record->z_range.high) &&
+                    record->surfels >= 0,
+                "a record holds numbers");
+    });
+    only<IoError>([&] {
+      const reconstruct::TileSurface surface = store.load(tile);
+      const Shape all{7, 8}, core{3, 4};
+      require(
+          surface.heights.shape() == all && surface.confidence.shape() == all &&
+              (surface.sigma.empty() || surface.sigma.shape() == all) &&
+              surface.views.shape() == core &&
+              (surface.ortho.empty() || (surface.ortho.rank() == 3 && surface.ortho.dim(1) == 3 &&
+                                         surface.ortho.dim(2) == 4)),
+          "rasters have the cells of their tile");
+    });
+  }
+  std::error_code ignored;
+  for (const char* each : kNames) std::filesystem::remove(tiles / each, ignored);
+}
+
+}  // namespace satsurf::fuzz
