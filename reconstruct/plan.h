@@ -106,16 +106,14 @@ WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surfa
 /// What at least two views show in the middle of the range of heights, to a hundredth of its side.
 /// throws  Error if there is no such ground
 Ground common_ground(const scene::Scene& scene);
-/// The cells of a ground: they start at a whole multiple of their side, so that runs over one place
-/// share them.
+/// The cells of a ground: they start at a whole multiple of their side, so that runs over one place share them.
 /// throws  Error for 2^31 cells a side or more
 Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step);
-/// The side of a cell that suits pixels of this size on the ground, a multiple of 0.05 m.
+/// The side of a cell that suits pixels of this size on the ground, m, a multiple of 0.05.
 double natural_step(double footprint);
 
 /// Sizes and memory of a reconstruction, before it begins.
-/// throws  Error if fewer than two views see a common ground, or for a surface of more cells or tiles
-///         than there can be
+/// throws  Error if fewer than two views see a common ground, or for more cells or tiles than there can be
 ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,
                                     const ReconstructOptions& options);
 

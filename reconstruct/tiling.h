@@ -55,8 +55,7 @@ Index window_for_memory(const nn::ModelConfig& model, const ImageSizes& images, 
 /// ranges are narrower.
 /// wanted      the part of the ground to make, all if left out
 /// max_memory  bytes of the whole program, 0 for as much as windows of `kWholeImage` px take
-/// throws      Error where two views see nothing of the ground that is wanted, and for more than a
-///             million tiles; ConfigError
+/// throws      Error where two views see nothing of the ground that is wanted, or for a million tiles; ConfigError
 Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
                   const ReconstructOptions& options, const std::optional<Ground>& wanted,
                   double max_memory);

@@ -50,6 +50,17 @@ void add_rings(Area& area, const OGRGeometry& geometry) {
   }
 }
 
+/// Length of all rings, in the units of the coordinates.
+double perimeter(const OGRGeometry& geometry) {
+  const OGRwkbGeometryType type = wkbFlatten(geometry.getGeometryType());
+  double sum = 0;
+  if (type == wkbPolygon)
+    for (const OGRLinearRing* ring : *geometry.toPolygon()) sum += ring->get_Length();
+  else if (OGR_GT_IsSubClassOf(type, wkbGeometryCollection))
+    for (const OGRGeometry* part : *geometry.toGeometryCollection()) sum += perimeter(*part);
+  return sum;
+}
+
 /// The polygons of all layers as one, so that those that overlap count once.
 std::unique_ptr<OGRGeometry> polygons_of(const fs::path& path, GDALDataset& d,
                                          OGRSpatialReference& wanted) {
@@ -67,8 +78,14 @@ std::unique_ptr<OGRGeometry> polygons_of(const fs::path& path, GDALDataset& d,
       OGRSpatialReference from(*crs);
       from.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
       flat->assignSpatialReference(&from);
-      // corners along long sides, which are straight where they were drawn and not in the zone
-      flat->segmentize(from.IsGeographic() ? 0.001 : 100);
+      // corners along long sides, which are straight where they were drawn and not in the zone; not
+      // so many that sides around the Earth a thousand times fill the memory
+      constexpr double kMostCorners = 1e6;
+      const double around = perimeter(*flat);
+      if (!std::isfinite(around))
+        throw IoError(path.string() + ": a polygon with sides of " + std::to_string(around) +
+                      ", expected finite coordinates");
+      flat->segmentize(std::max(from.IsGeographic() ? 0.001 : 100, around / kMostCorners));
       const bool moved = flat->transformTo(&wanted) == OGRERR_NONE;
       flat->assignSpatialReference(nullptr);
       if (!moved)

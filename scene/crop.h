@@ -41,9 +41,8 @@ struct CropOptions {
   bool with_truth = false;         ///< fill the true heights in, where the scene has them
 };
 
-/// Cuts windows of the views around one ground point. Pixels outside an image are invalid. Every
-/// camera is fitted over its window and the height range, once.
-/// throws  Error for a camera that sees the middle nowhere near its image
+/// Cuts windows of the views around one ground point, and fits every camera over its window and the heights, once.
+/// Pixels outside an image are invalid. Throws Error for a camera that sees the middle nowhere near its image.
 Crop make_crop(const Scene& scene, const CropOptions& options);
 
 /// Makes true heights of sources unknown where a pixel holds no image: there is nothing to find.

@@ -74,6 +74,19 @@ TEST_CASE("files without polygons, and files that are none, are refused by name"
   }
 }
 
+TEST_CASE("sides around the Earth a hundred times do not fill the memory with corners") {
+  const TempFolder folder("area");
+  write_bytes(
+      folder / "vast.geojson",
+      R"({"type":"FeatureCollection","crs":{"type":"name","properties":{"name":"EPSG:32617"}},)"
+      R"("features":[{"type":"Feature","properties":{},"geometry":{"type":"Polygon","coordinates":)"
+      R"([[[0,0],[4e9,0],[4e9,4e9],[0,0]]]}}]})");
+  std::size_t corners = 0;
+  for (const auto& ring : read_area(folder / "vast.geojson", kZone).rings) corners += ring.size();
+  CHECK(corners > 1000);
+  CHECK(corners < 2'000'000);
+}
+
 TEST_CASE("a box in degrees becomes the same ground in the zone") {
   const auto [lon, lat] = geodetic_from_utm(kZone, 500050, 3350050);
   const Area area = area_of_box({lon - 0.01, lat - 0.01, lon + 0.01, lat + 0.01}, kZone);
