@@ -90,6 +90,18 @@ void check_same_grid(const fs::path& file, const rpc::GeoRaster& classes, const 
                 dsm_file.string() + ", " + text_of(dsm));
 }
 
+/// Where the middle of a view lies.
+/// throws  IoError for a camera that sees it nowhere
+rpc::Geodetic centre_of(const View& view) {
+  const rpc::Pixel middle{static_cast<double>(view.width()) / 2,
+                          static_cast<double>(view.height()) / 2};
+  try {
+    return view.rpc.localize(middle, view.rpc.height_off);
+  } catch (const Error& e) {
+    throw IoError(view.label() + ": " + e.what());
+  }
+}
+
 /// Lowest and highest finite value; NaN if there is none.
 std::pair<double, double> finite_range(const Tensor& z) {
   double low = std::nan(""), high = low;
@@ -140,10 +152,7 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
     scene.views.push_back(view_of(image, source.file));
   }
 
-  const auto centre =
-      scene.views[0].rpc.localize({static_cast<double>(scene.views[0].width()) / 2,
-                                   static_cast<double>(scene.views[0].height()) / 2},
-                                  scene.views[0].rpc.height_off);
+  const rpc::Geodetic centre = centre_of(scene.views[0]);
   scene.frame.zone = rpc::utm_zone_of(centre.lon, centre.lat);
 
   if (path_exists(files.dsm)) {

@@ -165,6 +165,18 @@ TEST_CASE("a camera that sees the middle of a crop nowhere near its image is nam
   }
 }
 
+TEST_CASE("a data set with a camera that sees nothing is refused by the name of its image") {
+  const TempFolder folder("dataset-4");
+  const auto image = folder / "Track3-RGB/S_001_RGB.tif";
+  std::filesystem::create_directories(image.parent_path());
+  rpc::Rpc camera = test::view_from("a", 0.3).rpc;
+  camera.samp_num = {1};  // the same column everywhere
+  rpc::write_rpc_geotiff(image, Tensor({1, 32, 32}, 9.F), rpc::PixelType::uint8, camera);
+  CHECK(test::error_of<IoError>([&] {
+          load_scene(folder.path(), "S");
+        }).starts_with(image.string() + ": Rpc::localize: residual "));
+}
+
 TEST_CASE("a Sat-NeRF folder holds the same scene as Track3 files") {
   const TempFolder folder("dataset-5");
   write_scene(simulate_scene(small_scene(), 3, 0), folder / "track", "SIM_001");
