@@ -2,7 +2,7 @@
 #pragma once
 
 // What all targets share. A target is one function, `run(bytes)`; a finding is a sanitizer's report, a time-out, a limit of
-// memory, or an exception of another type than the reader documents.
+// memory, an exception of another type than the reader documents, or one whose text is not one line.
 
 #include "satsurf/core/error.h"
 #include "satsurf/core/parallel.h"
@@ -38,7 +38,9 @@ bool only(const F& f) {
     if (!(... || (typeid(e) == typeid(Documented))))
       finding(std::string("an exception that is not documented, ") + typeid(e).name() + ": " +
               e.what());
-    if (*e.what() == '\0') finding("an error without a text");
+    const std::string_view text = e.what();
+    if (text.empty() || text.find('\n') != std::string_view::npos)
+      finding("an error text that is not one line: " + std::string(text));
     return false;
   } catch (...) {
     finding("something thrown that is no std::exception");

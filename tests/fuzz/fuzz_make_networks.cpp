@@ -44,16 +44,29 @@ void networks() {
 }
 
 void configurations() {
-  put("json", "record",
+  // the first byte says whose it is, in the order of fuzz_json.cpp
+  const auto put_config = [](char whose, const std::string& name, const std::string& text) {
+    put("json", name, whose + text);
+  };
+  put_config(
+      0, "record",
       R"({"program":"satsurf","command":"reconstruct","config":{"images":["a.tif"],"height_range":[0,50],)"
       R"("surface":"plain","mesh":"none"}})");
-  put("json", "simulate",
-      R"({"scenes":2,"kinds":["city","rural"],"kind_weights":[1,2.5],"gsd":0.5})");
-  put("json", "train",
-      R"({"task":"cascade","preset":"base8","steps":10,"model":{"base":8,"hypotheses":[48,16,8],"rotation":"camera"},)"
+  put_config(1, "dsm", R"({"dsm":"a.tif","truth":"b.tif","register":"z"})");
+  put_config(2, "data", R"({"views":3,"surface":"splat"})");
+  put_config(3, "simulate",
+             R"({"scenes":2,"kinds":["city","rural"],"kind_weights":[1,2.5],"gsd":0.5})");
+  put_config(
+      4, "train",
+      R"({"task":"cascade","preset":"base8","steps":10,"model":{"base":8,"hypotheses":[48,16,8]},)"
       R"("simulate":{"pixels":64}})");
-  put("json", "model", to_json(nn::model_preset("tiny")).dump());
-  put("json", "flag", "height_range 0,50");
+  put_config(5, "mono", R"({"task":"mono","steps":10,"lr":1e-3})");
+  put_config(6, "surface", R"({"task":"surface","views_most":4})");
+  put_config(7, "model", to_json(nn::model_preset("tiny")).dump());
+  put_config(8, "surface_net", R"({"base":4})");
+  put_config(9, "flag", "height_range 0,50");
+  put_config(10, "flag_of_train", "model.hypotheses 48,16,8");
+  put_config(11, "flag_of_simulate", "kinds city,rural");
 }
 
 void data_sets() {
@@ -89,18 +102,28 @@ void tiles_and_changes() {
     std::string out{static_cast<char>(which), static_cast<char>(how)};
     return out.append(reinterpret_cast<const char*>(&value), sizeof value);
   };
+  // the first byte says what is asked of the cameras
+  const auto changes = [&](const std::string& target, int first, const std::string& name) {
+    const std::string kind(1, static_cast<char>(first));
+    put(target, name + "as_they_are", kind);
+    put(target, name + "shifted", kind + change(1, 2, 3.0) + change(2, 6, 1e-4));
+    put(target, name + "no_denominator", kind + std::string("\x1e\3\0", 3));
+    put(target, name + "not_finite", kind + std::string("\x0b\7\2", 3));
+    put(target, name + "tilted", kind + change(13, 0, 2.5) + change(33, 1, -1));
+    put(target, name + "far", kind + change(10, 0, 1e18) + change(30, 4, -1e18));
+    put(target, name + "fine",
+        kind + change(7, 1, 1e-7) + change(7, 5, 1e-7) + change(8, 1, 1e-7) + change(8, 5, 1e-7));
+  };
+  for (int asked = 0; asked < 7; ++asked)
+    changes("cameras", asked << 5, std::to_string(asked) + "_");
+  changes("scene", 0, "two_");
+  changes("scene", 4, "three_");
+  changes("scene", 1, "searched_");
+  changes("scene", 16, "pointed_");
   put("cameras", "dates",
       "\x10"
       "2015-09-30T10:56:56Z 20160215 " +
           change(1, 2, 3.0));
-  for (const char* target : {"cameras", "scene"}) {
-    const std::string plain(1, '\0');
-    put(target, "as_they_are", plain);
-    put(target, "shifted", plain + change(1, 2, 3.0) + change(2, 6, 1e-4));
-    put(target, "no_denominator", plain + std::string("\x1e\3\0", 3));
-    put(target, "not_finite", plain + std::string("\x0b\7\2", 3));
-    put(target, "tilted", plain + change(13, 0, 2.5) + change(33, 1, -1));
-  }
 }
 
 }  // namespace

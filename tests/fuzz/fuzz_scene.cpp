@@ -20,11 +20,12 @@ void run(std::string_view bytes) {
   Bytes in(bytes);
   const auto kind = in.take<std::uint8_t>();
   std::optional<rpc::HeightRange> wanted, named;
-  if (kind & 1) wanted = rpc::HeightRange{in.take<double>(), in.take<double>()};
+  if (!(kind & 1)) wanted = rpc::HeightRange{10, 30};
+  if (kind & 8) wanted = rpc::HeightRange{in.take<double>(), in.take<double>()};
   if (kind & 2) named = rpc::HeightRange{in.take<double>(), in.take<double>()};
   std::vector<rpc::Rpc> cameras;
   for (const double west : {-0.3, 0.3, 0.6}) cameras.push_back(test::view_from("", west).rpc);
-  if (kind & 4) cameras.pop_back();
+  if (!(kind & 4)) cameras.pop_back();
   spoil(cameras, in);
   std::vector<scene::ImageInMemory> images;
   for (const rpc::Rpc& camera : cameras)
@@ -36,7 +37,8 @@ void run(std::string_view bytes) {
                       .pixels = std::span<const std::uint8_t>(texture),
                       .height_range = named});
   only<Error, ConfigError, IoError>([&] {
-    const scene::UserScene made = scene::scene_from_images(images, wanted);
+    const scene::UserScene made =
+        scene::scene_from_images(images, wanted, {}, {.pointing = {.measure = (kind & 16) != 0}});
     require(made.scene.views.size() >= 2, "a scene has views");
     require(made.scene.z_range.has_span(), "a scene has a range of heights");
   });

@@ -51,15 +51,17 @@ export LSAN_OPTIONS=suppressions=$PWD/$here/lsan.supp:print_suppressions=0
 [ -x "$(command -v llvm-symbolizer-16)" ] && export ASAN_SYMBOLIZER_PATH=$(command -v llvm-symbolizer-16)
 
 mkdir -p $build/findings $build/logs
-rm -rf $build/seeds
+rm -rf $build/seeds && mkdir -p $build/seeds
 for maker in $makers; do "$build/bin/fuzz_$maker" $build/seeds; done
 failed=0
 printf '%-12s %10s %8s %7s %8s\n' target runs runs/s edges findings
 for target in $targets; do
   mkdir -p "$build/corpus/$target" "$build/seeds/$target"
   log=$build/logs/$target.log
+  timeout=2
+  [ "$target" = scene ] && timeout=10  # it searches images for their heights
   code=0
-  "$build/bin/fuzz_$target" $length -timeout=2 -rss_limit_mb=2048 -malloc_limit_mb=1024 -dict=$here/words.dict \
+  "$build/bin/fuzz_$target" $length -timeout=$timeout -rss_limit_mb=2048 -malloc_limit_mb=1024 -dict=$here/words.dict \
     -print_final_stats=1 -artifact_prefix="$build/findings/$target-" "$build/corpus/$target" "$build/seeds/$target" \
     >"$log" 2>&1 || code=$?
   runs=$(sed -n 's/^stat::number_of_executed_units: *//p' "$log" | tail -1)
