@@ -61,6 +61,21 @@ double perimeter(const OGRGeometry& geometry) {
   return sum;
 }
 
+/// throws  IoError for corners that lie nowhere
+void check_corners(const fs::path& path, const OGRGeometry& geometry, bool degrees) {
+  OGREnvelope box;
+  geometry.getEnvelope(&box);
+  // longitudes are counted from -180 or from 0, and a side may cross where they begin
+  const double most_x = degrees ? 540 : 1e8, most_y = degrees ? 90 : 1e8;
+  if (box.MinX >= -most_x && box.MaxX <= most_x && box.MinY >= -most_y && box.MaxY <= most_y)
+    return;
+  std::ostringstream text;
+  text << path.string() << ": corners from (" << box.MinX << ", " << box.MinY << ") to ("
+       << box.MaxX << ", " << box.MaxY << "), expected "
+       << (degrees ? "degrees" : "at most 1e8 m either way");
+  throw IoError(text.str());
+}
+
 /// The polygons of all layers as one, so that those that overlap count once.
 std::unique_ptr<OGRGeometry> polygons_of(const fs::path& path, GDALDataset& d,
                                          OGRSpatialReference& wanted) {
@@ -78,14 +93,12 @@ std::unique_ptr<OGRGeometry> polygons_of(const fs::path& path, GDALDataset& d,
       OGRSpatialReference from(*crs);
       from.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
       flat->assignSpatialReference(&from);
+      check_corners(path, *flat, from.IsGeographic() != 0);
       // corners along long sides, which are straight where they were drawn and not in the zone; not
-      // so many that sides around the Earth a thousand times fill the memory
-      constexpr double kMostCorners = 1e6;
-      const double around = perimeter(*flat);
-      if (!std::isfinite(around))
-        throw IoError(path.string() + ": a polygon with sides of " + std::to_string(around) +
-                      ", expected finite coordinates");
-      flat->segmentize(std::max(from.IsGeographic() ? 0.001 : 100, around / kMostCorners));
+      // so many that sides around the Earth a hundred times fill the memory
+      constexpr double kMostCorners = 1e5;
+      flat->segmentize(
+          std::max(from.IsGeographic() ? 0.001 : 100, perimeter(*flat) / kMostCorners));
       const bool moved = flat->transformTo(&wanted) == OGRERR_NONE;
       flat->assignSpatialReference(nullptr);
       if (!moved)

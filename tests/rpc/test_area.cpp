@@ -80,11 +80,19 @@ TEST_CASE("sides around the Earth a hundred times do not fill the memory with co
       folder / "vast.geojson",
       R"({"type":"FeatureCollection","crs":{"type":"name","properties":{"name":"EPSG:32617"}},)"
       R"("features":[{"type":"Feature","properties":{},"geometry":{"type":"Polygon","coordinates":)"
-      R"([[[0,0],[4e9,0],[4e9,4e9],[0,0]]]}}]})");
+      R"([[[0,0],[9e7,0],[9e7,9e7],[0,0]]]}}]})");
   std::size_t corners = 0;
   for (const auto& ring : read_area(folder / "vast.geojson", kZone).rings) corners += ring.size();
   CHECK(corners > 1000);
-  CHECK(corners < 2'000'000);
+  CHECK(corners < 200'000);
+  const auto says = [&](const std::string& corner) {
+    write_bytes(folder / "far.geojson", R"({"type":"Polygon","coordinates":[[[-81,30],[)" + corner +
+                                            "],[-81,31],[-81,30]]]}");
+    return test::error_of<IoError>([&] { read_area(folder / "far.geojson", kZone); });
+  };
+  const std::string where = (folder / "far.geojson").string() + ": corners from (-81, 30) to (";
+  CHECK(says("214748364845,30.5") == where + "2.14748e+11, 31), expected degrees");
+  CHECK(says("-80,1e300") == where + "-80, 1e+300), expected degrees");
 }
 
 TEST_CASE("a box in degrees becomes the same ground in the zone") {
