@@ -2,13 +2,16 @@
 #pragma once
 
 #include <stdexcept>
+#include <string>
 
 namespace satsurf {
 
 /// Base of everything this library throws. The text reads
 ///   where: what came, expected what[; hint]
+/// It is one line whatever a file or its name holds: control characters are spelt as in C (`\n`, `\x1b`), so that they
+/// move no terminal's cursor, and of more than 4096 bytes the middle is left out.
 struct Error : std::runtime_error {
-  using std::runtime_error::runtime_error;
+  explicit Error(const std::string& text);
 };
 
 /// A tensor has the wrong shape, or two tensors disagree.

@@ -185,7 +185,7 @@ TEST_CASE("meshes that no reader takes are not written") {
   m = two_faces();
   m.normals.pop_back();
   CHECK(complaint(m) == "4 vertices, 3 normals and 4 colours, expected as many of each, or none");
-  CHECK(complaint(two_faces(), {"two\nlines"}) == "comment 'two\nlines' has more than one line");
+  CHECK(complaint(two_faces(), {"two\nlines"}) == "comment 'two\\nlines' has more than one line");
 }
 
 }  // namespace satsurf::test

@@ -277,7 +277,7 @@ TEST_CASE("damaged camera files are refused by name") {
   // A later line does not help a number that is none; a comma is no decimal point.
   text = as_text(rpc);
   text.replace(text.find("LINE_OFF: +9999.5"), 17, "LINE_OFF: +9999,5");
-  CHECK(says(text) == p + ": LINE_OFF is ' +9999,5 units\r', expected a number");
+  CHECK(says(text) == p + ": LINE_OFF is ' +9999,5 units\\r', expected a number");
 }
 
 TEST_CASE("Sat-NeRF JSON: tolerant numbers, strict keys") {

@@ -251,7 +251,7 @@ TEST_CASE("ply: what cannot be written is refused and leaves no file") {
   };
   const std::string front = "write_ply: " + file.path.string() + ": ";
   auto s = random_surfels<float>(3, 0, 9, 9, 1);
-  CHECK(text(s, {"two\nlines"}) == front + "comment 'two\nlines' has more than one line");
+  CHECK(text(s, {"two\nlines"}) == front + "comment 'two\\nlines' has more than one line");
   s.means.mutable_value()[5] = std::numeric_limits<float>::quiet_NaN();
   CHECK(text(s, {}) == front + "property z of surfel 1 is nan, expected a finite number");
   s = random_surfels<float>(3, 0, 9, 9, 1);
