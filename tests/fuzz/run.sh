@@ -4,14 +4,14 @@
 # clang first. Prints a line for each and fails if there was any finding.
 #   run.sh [SECONDS | -runs=N] [TARGET...]     10 seconds and all targets if left out; `readers` is the cheaper half
 # Inputs that reached something new are kept in build/fuzz/corpus/TARGET and are where the next run begins;
-# those that failed lie in build/fuzz/findings. Run one again: build/fuzz/bin/fuzz_TARGET FILE
+# those that failed lie in build/fuzz/findings. SATSURF_FUZZ_TIMEOUT is what an input may take, s, if not 2. Run one again: build/fuzz/bin/fuzz_TARGET FILE
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 here=tests/fuzz build=build/fuzz
 
 length=-max_total_time=10
 case ${1:-} in
-  -runs=*) length=$1 && shift ;;
+  -runs=*) length="$1 -seed=1" && shift ;; # the same inputs each time, as long as the corpus is the same
   [0-9]*) length=-max_total_time=$1 && shift ;;
 esac
 # Those that need readers alone, and those that make something of what was read.
@@ -58,7 +58,7 @@ printf '%-12s %10s %8s %7s %8s\n' target runs runs/s edges findings
 for target in $targets; do
   mkdir -p "$build/corpus/$target" "$build/seeds/$target"
   log=$build/logs/$target.log
-  timeout=2
+  timeout=${SATSURF_FUZZ_TIMEOUT:-2} # s
   [ "$target" = scene ] && timeout=10  # it searches images for their heights
   code=0
   "$build/bin/fuzz_$target" $length -timeout=$timeout -rss_limit_mb=2048 -malloc_limit_mb=1024 -dict=$here/words.dict \
