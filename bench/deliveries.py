@@ -48,18 +48,23 @@ class Image:
                      dict(info["metadata"]["RPC"]))
 
     def write(self, path, scratch, *options):
-        """A GeoTIFF, or what the options ask for; the camera in a file beside it."""
+        """A GeoTIFF with its camera in a file beside it, or what GDAL makes of that with these options."""
         raw = scratch / "out.bin"
         raw.write_bytes(b"".join(self.bands))
         raw.with_suffix(".hdr").write_text(
             f"ENVI\nsamples = {self.width}\nlines = {self.height}\nbands = {len(self.bands)}\nheader offset = 0\n"
             f"data type = {1 if self.depth == 1 else 12}\ninterleave = bsq\nbyte order = 0\n")
-        run("gdal_translate", "-q", *options, raw, path)
-        Path(str(path) + ".aux.xml").unlink(missing_ok=True)
+        tif = scratch / "out.tif" if options else path
+        run("gdal_translate", "-q", raw, tif)
+        Path(str(tif) + ".aux.xml").unlink(missing_ok=True)
         lines = [f"{name}: {self.rpc[name]}" for name in NUMBERS]
         for name in COEFFICIENTS:
             lines += [f"{name}_{i + 1}: {v}" for i, v in enumerate(self.rpc[name].split())]
-        path.with_name(path.stem + "_RPC.TXT").write_text("\n".join(lines) + "\n")
+        tif.with_name(tif.stem + "_RPC.TXT").write_text("\n".join(lines) + "\n")
+        if options:
+            run("gdal_translate", "-q", *options, tif, path)
+            if "NITF" in options:  # what a NITF has room for, no more
+                Path(str(path) + ".aux.xml").unlink(missing_ok=True)
 
     def shift_camera(self, x, y):
         self.rpc["SAMP_OFF"] = repr(float(self.rpc["SAMP_OFF"]) + x)

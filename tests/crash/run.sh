@@ -72,7 +72,7 @@ scenario_surface() {
   train_with --task surface --data ../data --cascades ../tiny/weights.safetensors --crop 32 --steps 4 --checkpoint_every 2 --batch 1
 }
 scenario_tiles() {
-  local images=(../large/Track3-RGB/*.tif)
+  local images=("$work"/large/Track3-RGB/*.tif)
   how=("$satsurf" reconstruct "${images[@]}" --weights ../tiny/weights.safetensors --pointing off --max-memory 300MB --quiet)
   prepare() { :; }
   intact() { :; }

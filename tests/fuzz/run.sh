@@ -4,7 +4,8 @@
 # clang first. Prints a line for each and fails if there was any finding.
 #   run.sh [SECONDS | -runs=N] [TARGET...]     10 seconds and all targets if left out; `readers` is the cheaper half
 # Inputs that reached something new are kept in build/fuzz/corpus/TARGET and are where the next run begins;
-# those that failed lie in build/fuzz/findings. SATSURF_FUZZ_TIMEOUT is what an input may take, s, if not 2. Run one again: build/fuzz/bin/fuzz_TARGET FILE
+# those that failed lie in build/fuzz/findings. Run one again: build/fuzz/bin/fuzz_TARGET FILE
+# SATSURF_FUZZ_TIMEOUT: seconds that an input may take, if not 2
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 here=tests/fuzz build=build/fuzz
