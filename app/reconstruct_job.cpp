@@ -3,6 +3,7 @@
 
 #include "satsurf/app/interrupt.h"
 #include "satsurf/app/pointing_text.h"
+#include "satsurf/app/surface_files.h"
 #include "satsurf/core/safetensors.h"
 #include "satsurf/nn/shipped_weights.h"
 #include "satsurf/nn/weights_file.h"
@@ -26,6 +27,13 @@ std::optional<rpc::HeightRange> range_of(const ReconstructConfig& config) {
   const rpc::HeightRange range{(*config.height_range)[0], (*config.height_range)[1]};
   scene::check_height_range(range);
   return range;
+}
+
+/// The system that the rasters shall have, if one was asked for.
+/// throws  ConfigError for one that no raster of a surface can have
+std::optional<rpc::ProjectedCrs> crs_of(const ReconstructConfig& config) {
+  if (config.crs == "auto") return std::nullopt;
+  return rpc::projected_crs(config.crs);
 }
 
 /// What to do about cameras that disagree.
@@ -143,6 +151,7 @@ nlohmann::json images_json(const scene::Scene& scene) {
 ReconstructJob::ReconstructJob(const ReconstructCommand& asked)
     : options(asked),
       height_range(range_of(asked)),
+      crs(crs_of(asked)),
       weights(weights_of(asked)),
       rules(rules_of(asked)),
       staged(staged_folder(*this)),
@@ -169,6 +178,23 @@ std::vector<fs::path> ReconstructJob::inputs(const scene::Scene& scene) const {
   return out;
 }
 
+void ReconstructJob::settle_crs(const scene::UserScene& user) {
+  if (!crs) return;
+  const rpc::LocalFrame& frame = user.scene.frame;
+  const auto [lon, lat] = rpc::geodetic_from_utm(frame.zone, frame.easting0, frame.northing0);
+  rpc::check_area_of_use(*crs, lon, lat);
+  if (crs->epsg == frame.zone.epsg()) crs.reset();
+}
+
+void ReconstructJob::bring_rasters(const rpc::GeoGrid& grid, SurfaceFacts& facts) {
+  const auto [rows, columns] =
+      bring_into(*crs, staged->path(), grid, facts.rows, facts.columns, [&](double share) {
+        stop_if_interrupted();
+        progress.update("project", share);
+      });
+  facts.crs = crs->label, facts.rows = rows, facts.columns = columns;
+}
+
 void ReconstructJob::note_scene(const scene::UserScene& user) {
   note_left_out(user, progress);
   note_pointing(user, progress);
@@ -185,7 +211,8 @@ void stop_if_interrupted() {
   if (interrupted()) throw Interrupted{};
 }
 
-void print_plan_ground(const scene::UserScene& user, const reconstruct::Ground& ground) {
+void print_plan_ground(const scene::UserScene& user, const reconstruct::Ground& ground,
+                       const std::optional<rpc::ProjectedCrs>& crs) {
   const rpc::LocalFrame& frame = user.scene.frame;
   std::printf("height range  %.1f to %.1f m above the ellipsoid, %s\n", user.range.height_range.low,
               user.range.height_range.high, user.range.source.c_str());
@@ -193,13 +220,15 @@ void print_plan_ground(const scene::UserScene& user, const reconstruct::Ground& 
               frame.zone.epsg(), ground.x0 + frame.easting0, ground.x1 + frame.easting0,
               ground.y0 + frame.northing0, ground.y1 + frame.northing0, ground.width(),
               ground.height());
+  if (crs) std::printf("rasters       %s, by resampling\n", crs->label.c_str());
 }
 
 nlohmann::json results_json(const SurfaceFacts& facts, const scene::UserScene& user) {
   return {{"completeness", facts.completeness},
           {"cells", {facts.rows, facts.columns}},
           {"resolution", facts.resolution},
-          {"crs", "EPSG:" + std::to_string(user.scene.frame.zone.epsg())},
+          {"crs", facts.crs},
+          {"frame_crs", "EPSG:" + std::to_string(user.scene.frame.zone.epsg())},
           {"vertical_datum", rpc::datum_text(facts.datum)},
           {"height_range", {user.range.height_range.low, user.range.height_range.high}},
           {"height_range_source", user.range.source},
@@ -220,10 +249,9 @@ nlohmann::json results_json(const SurfaceFacts& facts, const scene::UserScene& u
 
 void print_summary(const SurfaceFacts& facts, const scene::Scene& scene, double wall_seconds,
                    const fs::path& out) {
-  std::printf(
-      "surface       %td x %td cells of %g m, EPSG:%d, %.1f to %.1f m above the ellipsoid\n",
-      facts.columns, facts.rows, facts.resolution, scene.frame.zone.epsg(), facts.heights.low,
-      facts.heights.high);
+  std::printf("surface       %td x %td cells of %g m, %s, %.1f to %.1f m above the ellipsoid\n",
+              facts.columns, facts.rows, facts.resolution, facts.crs.c_str(), facts.heights.low,
+              facts.heights.high);
   std::printf("completeness  %.1f %%\n", 100 * facts.completeness);
   std::printf("confidence    %.3f on average\n", facts.mean_confidence);
   std::printf("surfels       %td from %zu images in %td tile%s\n", facts.surfels,

@@ -11,6 +11,7 @@
 #include "satsurf/nn/surface_net.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/warnings.h"
+#include "satsurf/rpc/crs.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/user_images.h"
 
@@ -60,11 +61,14 @@ struct Networks {
   std::optional<nn::SurfaceModel> surface;
 };
 
+struct SurfaceFacts;
+
 /// A run of `reconstruct`, as both its ways begin and end: images looked at whole, and images worked
 /// on in tiles.
 struct ReconstructJob {
   const ReconstructCommand& options;
   std::optional<rpc::HeightRange> height_range;  ///< that was asked for
+  std::optional<rpc::ProjectedCrs> crs;          ///< of the rasters; none for that of the frame
   std::filesystem::path weights;
   scene::ViewRules rules;
   std::optional<OutputFolder> staged;  ///< empty in a dry run
@@ -79,6 +83,14 @@ struct ReconstructJob {
   reconstruct::ReconstructOptions how() const;
   /// All files that a run reads: weights, shifts, area, and those of the images.
   std::vector<std::filesystem::path> inputs(const scene::Scene& scene) const;
+  /// Sees that the rasters' system suits the images; one that is the frame's is forgotten.
+  /// throws  ConfigError for one that is made for elsewhere
+  void settle_crs(const scene::UserScene& user);
+  /// Brings the finished rasters into the system that was asked for.
+  /// grid   that they have
+  /// facts  of the surface; takes the new system and cells
+  /// throws  IoError, Error
+  void bring_rasters(const rpc::GeoGrid& grid, SurfaceFacts& facts);
   /// Says what was found in the images, warns of what they let fear, and notes all files.
   void note_scene(const scene::UserScene& user);
 };
@@ -91,11 +103,14 @@ void reconstruct_tiles(ReconstructJob& job);
 void stop_if_interrupted();
 
 /// The first lines of a plan: heights and ground.
-void print_plan_ground(const scene::UserScene& user, const reconstruct::Ground& ground);
+/// crs  of the rasters; none for that of the frame
+void print_plan_ground(const scene::UserScene& user, const reconstruct::Ground& ground,
+                       const std::optional<rpc::ProjectedCrs>& crs);
 
 /// What the record says of every run.
 struct SurfaceFacts {
   double completeness = 0, resolution = 0, mean_confidence = 0, camera_fit_max_px = 0;
+  std::string crs;  ///< of the rasters
   Index rows = 0, columns = 0, surfels = 0, tiles = 0;
   rpc::HeightRange searched;                             ///< heights above the ellipsoid, m
   rpc::HeightRange heights;                              ///< lowest and highest cell, likewise

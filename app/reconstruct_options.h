@@ -60,7 +60,8 @@ struct ReconstructConfig {
   Index max_views = scene::kMostViews;
   std::string pointing = "shift";  ///< "shift", "off" or a file
   reconstruct::Surface surface = reconstruct::Surface::automatic;
-  double resolution = 0;  ///< m, 0 for the images' own
+  double resolution = 0;     ///< m, 0 for the images' own
+  std::string crs = "auto";  ///< of the rasters: "auto", a code, WKT or a string of PROJ
   Geoid geoid = Geoid::none;
   double min_coverage = 0;  ///< share of the common ground that must have a height
   Index max_surfels = 0;    ///< of surfels.ply, 0 for all
@@ -115,6 +116,11 @@ struct ReconstructConfig {
             .min = 0.01,
             .max = 1000,
             .automatic = "size of a pixel on the ground"});
+    v("crs", s.crs,
+      Field{.help = "system of dsm.tif and the other rasters: a code such as EPSG:31370, WKT or a "
+                    "string of PROJ, projected, in metres; `auto` is the UTM zone of the images. "
+                    "Pictures, mesh and surfels stay in that zone, --bbox in degrees",
+            .placeholder = "auto|CRS"});
     v("geoid", s.geoid,
       Field{.help =
                 "heights of dsm.tif above this geoid instead of the ellipsoid, its system then a "
@@ -196,7 +202,8 @@ struct ReconstructCommand : ReconstructConfig {
 inline std::vector<WrittenFile> written_by_reconstruct() {
   return {
       {"dsm.tif",
-       "heights above the WGS84 ellipsoid or the --geoid, m, Float32, UTM, nodata -9999; the "
+       "heights above the WGS84 ellipsoid or the --geoid, m, Float32, UTM or --crs, nodata -9999; "
+       "the "
        "grid's corner is "
        "a whole multiple of its cell; as all rasters here a cloud-optimised GeoTIFF"},
       {"confidence.tif",
@@ -232,9 +239,10 @@ inline std::vector<WrittenFile> written_by_reconstruct() {
 inline std::vector<WrittenFile> told_by_reconstruct() {
   return {
       {"completeness", "share of the cells of the images' common ground that have a height"},
-      {"cells", "rows and columns"},
+      {"cells", "rows and columns of the rasters"},
       {"resolution", "side of a cell, m"},
-      {"crs", "EPSG code of the UTM zone"},
+      {"crs", "system of dsm.tif and the other rasters: its code, or its name where it has none"},
+      {"frame_crs", "EPSG code of the UTM zone of all else"},
       {"vertical_datum", "of the heights in dsm.tif"},
       {"height_range",
        "lowest and highest height that were asked for or found, m above the "

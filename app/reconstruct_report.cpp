@@ -65,6 +65,10 @@ std::vector<std::pair<std::string, std::string>> facts_of(const reconstruct::Rec
                  {fmt::format("{:.2f} m", median_of(made.sigma)), "expected error, median"});
   if (const auto datum = results["vertical_datum"].get<std::string>(); datum != "WGS84 ellipsoid")
     facts.emplace_back(datum, "what dsm.tif is above; this page is above the ellipsoid");
+  if (const auto crs = results["crs"].get<std::string>(),
+      frame = results["frame_crs"].get<std::string>();
+      crs != frame)
+    facts.emplace_back(crs, "what the rasters are in; this page is in " + frame);
   if (results["mesh"].is_object())
     facts.insert(facts.end() - 2,
                  {count_text(results["mesh"]["faces"].get<double>()), "triangles of the mesh"});

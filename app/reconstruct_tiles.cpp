@@ -92,8 +92,8 @@ std::string time_text(double seconds) {
   return fmt::format("{:.1f} h", seconds / 3600);
 }
 
-void print_plan(const Tiling& tiling, const scene::Survey& survey) {
-  print_plan_ground(survey.user, tiling.grid.ground());
+void print_plan(const Tiling& tiling, const scene::Survey& survey, const ReconstructJob& job) {
+  print_plan_ground(survey.user, tiling.grid.ground(), job.crs);
   std::printf("surface       %td x %td cells of %g m\n", tiling.grid.width, tiling.grid.height,
               tiling.grid.step);
   std::printf("tiles         %td x %td, each with windows of at most %td x %td px of %zu images\n",
@@ -369,10 +369,11 @@ void reconstruct_tiles(ReconstructJob& job) {
   const Wanted wanted = wanted_ground(options, scene.frame);
   const Tiling tiling = reconstruct::plan_tiles(job.networks.model.config(), survey, job.how(),
                                                 wanted.ground, max_memory);
+  job.settle_crs(survey.user);
   if (store)
     store->begin(plan_json(job, survey, tiling));  // before files are read for their hashes
   job.note_scene(with_whole_cameras(survey));
-  if (options.dry_run) return print_plan(tiling, survey);
+  if (options.dry_run) return print_plan(tiling, survey, job);
   check_memory(tiling);
   progress.update("read", 1);
 
@@ -390,9 +391,13 @@ void reconstruct_tiles(ReconstructJob& job) {
   SurfaceFacts facts = facts_of(tiling, records, made, scene.frame);
   facts.seconds = seconds_since(start);
   facts.datum = datum_of(options.geoid);
+  facts.crs = "EPSG:" + std::to_string(scene.frame.zone.epsg());
   const reconstruct::Reconstruction overview = overview_of(made, facts, scene);
   job.warnings.add(reconstruct::surface_warnings(overview));
   if (survey.user.pointing) scene::write_pointing(folder / "pointing.json", *survey.user.pointing);
+  if (job.crs)
+    job.bring_rasters(
+        geo_grid({{}, tiling.grid.east, tiling.grid.north, tiling.grid.step}, scene.frame), facts);
   progress.update("pictures", 0);
   job.warnings.attempt("pictures", [&] { write_pictures(folder, made, scene); });
   progress.note(

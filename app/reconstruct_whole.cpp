@@ -36,8 +36,9 @@ double mean_of(const Tensor& t) {
   return sum / n;
 }
 
-void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene& user) {
-  print_plan_ground(user, plan.ground);
+void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene& user,
+                const ReconstructJob& job) {
+  print_plan_ground(user, plan.ground, job.crs);
   std::printf("surface       %td x %td cells of %g m\n", plan.width, plan.height, plan.step);
   if (plan.voxel > 0) std::printf("mesh          voxels of %g m\n", plan.voxel);
   std::printf("tiles         %zu, each with %zu windows of %td x %td px\n", plan.tiles.size(),
@@ -167,6 +168,7 @@ void reconstruct_whole(ReconstructJob& job) {
       options.images, options.image_dirs, job.height_range, stop_if_interrupted, job.rules);
   stop_if_interrupted();
   const scene::Scene& scene = user.scene;
+  job.settle_crs(user);
   job.note_scene(user);
 
   const auto start = std::chrono::steady_clock::now();
@@ -179,12 +181,13 @@ void reconstruct_whole(ReconstructJob& job) {
   };
   if (options.dry_run)
     return print_plan(reconstruct::plan_reconstruction(job.networks.model.config(), scene, how),
-                      user);
+                      user, job);
   OutputFolder& folder = *job.staged;
   const reconstruct::Reconstruction made = reconstruct::reconstruct(job.networks.model, scene, how);
   SurfaceFacts facts = facts_of(made);
   facts.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   facts.datum = datum_of(options.geoid);
+  facts.crs = "EPSG:" + std::to_string(scene.frame.zone.epsg());
   facts.heights = heights_found(made, scene.frame.h0, options.images);
   job.warnings.add(reconstruct::surface_warnings(made));
 
@@ -197,6 +200,7 @@ void reconstruct_whole(ReconstructJob& job) {
     write_ortho(folder / "ortho.tif", made, scene, visibility, options.image_dirs);
   });
   stop_if_interrupted();
+  if (job.crs) job.bring_rasters(geo_grid(made.dsm, scene.frame), facts);
   std::vector<mesh::HeightImage> seen;
   job.warnings.attempt("pictures", [&] {
     RenderedViews rendered = render_views(made, with_mesh, progress);

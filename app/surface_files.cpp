@@ -2,8 +2,10 @@
 #include "satsurf/app/surface_files.h"
 
 #include "satsurf/app/products.h"
+#include "satsurf/core/files.h"
 #include "satsurf/rpc/geoid.h"
 #include "satsurf/rpc/read.h"
+#include "satsurf/rpc/warp.h"
 #include "satsurf/splat/ply.h"
 #include "satsurf/splat/select.h"
 
@@ -103,6 +105,28 @@ void write_ortho(const fs::path& file, const reconstruct::Reconstruction& made,
   const rpc::GeoTags tags = surface_tags(scene, rpc::HeightDatum::ellipsoid).ortho;
   keep_off_nodata(picture, tags);
   write_field(file, picture, made.dsm, scene.frame, 0, tags);
+}
+
+std::array<Index, 2> bring_into(const rpc::ProjectedCrs& crs, const fs::path& folder,
+                                const rpc::GeoGrid& grid, Index height, Index width,
+                                const std::function<void(double)>& progress) {
+  using rpc::Resampling;
+  const rpc::ProjectedGrid to = rpc::covering_grid(grid, height, width, crs);
+  constexpr std::array<std::pair<const char*, Resampling>, 5> kRasters{
+      {{"dsm.tif", Resampling::bilinear},
+       {"confidence.tif", Resampling::bilinear},
+       {"height_sigma.tif", Resampling::bilinear},
+       {"ortho.tif", Resampling::bilinear},
+       {"views.tif", Resampling::nearest}}};
+  double done = 0;
+  for (const auto& [name, how] : kRasters) {
+    const auto share = [&](double part) {
+      progress((done + part) / static_cast<double>(kRasters.size()));
+    };
+    if (is_file(folder / name)) rpc::warp_raster(folder / name, to, how, share);
+    done += 1;
+  }
+  return {to.height, to.width};
 }
 
 }  // namespace satsurf::app

@@ -3,10 +3,13 @@
 
 #include "satsurf/reconstruct/ortho.h"
 #include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/rpc/crs.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/scene.h"
 
+#include <array>
 #include <filesystem>
+#include <functional>
 #include <vector>
 
 namespace satsurf::app {
@@ -36,5 +39,16 @@ void write_surface(const std::filesystem::path& folder, const reconstruct::Recon
 void write_ortho(const std::filesystem::path& file, const reconstruct::Reconstruction& made,
                  const scene::Scene& scene, const reconstruct::Visibility& visibility,
                  const std::vector<std::filesystem::path>& image_dirs);
+
+/// Brings all rasters of a surface into another system, onto one grid: heights, confidences, errors
+/// and colours by what the four cells around say, counts by the nearest cell.
+/// grid           that the rasters in the folder have
+/// height, width  its cells
+/// progress       told the share that is done; may throw to stop
+/// returns        rows and columns of the new grid
+/// throws         IoError; Error where PROJ knows no way into the system
+std::array<Index, 2> bring_into(const rpc::ProjectedCrs& crs, const std::filesystem::path& folder,
+                                const rpc::GeoGrid& grid, Index height, Index width,
+                                const std::function<void(double)>& progress);
 
 }  // namespace satsurf::app

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-// For rpc/read*.cpp, rpc/raster*.cpp and rpc/geoid.cpp only: no public header names GDAL.
+// For the readers and writers of rpc/ only: no public header names GDAL.
 
 #include "satsurf/core/error.h"
 #include "satsurf/core/files.h"
+#include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 
 #include <filesystem>
@@ -109,6 +110,20 @@ inline std::optional<double> parse_number(std::string_view text) {
 
 /// Bands without the alpha band, counted from 1.
 std::vector<int> colour_bands(GDALDataset& d);
+
+/// Makes the cloud-optimised GeoTIFF of a finished raster, which takes its place at once.
+/// means   whether a mean of cells means something: overviews
+/// throws  IoError
+void write_cog(const std::filesystem::path& path, GDALDataset& from, bool means);
+
+/// How many cells of a raster become one of another grid.
+enum class Sampled { nearest, lowest, highest };
+/// The first band of a raster on another grid, NaN where it says nothing.
+/// crs     of the raster
+/// grid    in a zone of UTM
+/// throws  Error where PROJ knows no way between the systems
+Tensor first_band_on(GDALDataset& d, const OGRSpatialReference& crs, const GeoGrid& grid,
+                     Index height, Index width, Sampled how);
 
 /// What read_info() says, of an open file.
 /// throws  IoError

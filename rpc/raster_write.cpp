@@ -197,9 +197,9 @@ void write_values(const fs::path& path, GDALDataset& d, Index y0, const Tensor& 
 }
 
 /// How a cloud-optimised GeoTIFF is made.
-std::vector<const char*> cog_options(const GeoTags& tags) {
+std::vector<const char*> cog_options(bool means) {
   return {"COMPRESS=DEFLATE", "PREDICTOR=YES", "BIGTIFF=IF_SAFER",
-          tags.means ? "OVERVIEW_RESAMPLING=AVERAGE" : "OVERVIEW_RESAMPLING=MODE"};
+          means ? "OVERVIEW_RESAMPLING=AVERAGE" : "OVERVIEW_RESAMPLING=MODE"};
 }
 
 }  // namespace
@@ -251,8 +251,26 @@ void write_geo_raster(const fs::path& path, const Tensor& values, const GeoGrid&
                       gdal_type(tags.type));
   describe(path, *raster, C, grid, tags);
   write_values(path, *raster, 0, values, tags);
-  raster.convert("COG", cog_options(tags));
+  raster.convert("COG", cog_options(tags.means));
   raster.save();
+}
+
+void write_cog(const fs::path& path, GDALDataset& from, bool means) {
+  fs::path made = path;
+  made += ".part";
+  CPLStringList list;
+  for (const char* option : cog_options(means)) list.AddString(option);
+  from.FlushCache();
+  DatasetPtr cog(
+      driver_of_name(path, "COG").CreateCopy(made.c_str(), &from, FALSE, list, nullptr, nullptr));
+  if (!cog) refuse(path);
+  CPLErrorReset();
+  cog.reset();
+  if (CPLGetLastErrorType() >= CE_Failure) refuse(path);
+  std::error_code error;
+  fs::rename(made, path, error);
+  if (error)
+    throw IoError(path.string() + ": cannot be put in its place (" + error.message() + ")");
 }
 
 /// The rows so far, in a file beside the one to be made.
@@ -304,24 +322,10 @@ void GeoRasterRows::finish() {
     throw Error("GeoRasterRows: " + std::to_string(next_) + " rows of " + path_.string() +
                 ", expected " + std::to_string(height_));
   const GdalScope scope;
-  fs::path made = path_;
-  made += ".part";
-  CPLStringList list;
-  for (const char* option : cog_options(tags_)) list.AddString(option);
-  file_->dataset->FlushCache();
-  DatasetPtr cog(
-      driver_of_name(path_, "COG")
-          .CreateCopy(made.c_str(), file_->dataset.get(), FALSE, list, nullptr, nullptr));
-  if (!cog) refuse(path_);
-  CPLErrorReset();
-  cog.reset();
-  if (CPLGetLastErrorType() >= CE_Failure) refuse(path_);
+  write_cog(path_, *file_->dataset, tags_.means);
   file_.reset();
-  std::error_code error;
-  fs::remove(rows_, error);
-  fs::rename(made, path_, error);
-  if (error)
-    throw IoError(path_.string() + ": cannot be put in its place (" + error.message() + ")");
+  std::error_code ignored;
+  fs::remove(rows_, ignored);
 }
 
 void write_rpc_geotiff(const fs::path& path, const Tensor& pixels, PixelType type, const Rpc& rpc,

@@ -189,6 +189,23 @@ holds "and are others than those above the ellipsoid" bash -c '! cmp -s geoid/ds
 holds "surfels stay above the ellipsoid" cmp geoid/surfels.ply bare/surfels.ply
 refuses "a geoid without a grid" 1 "EGM2008 geoid, expected its grid" "$satsurf" reconstruct "${images[@]}" --geoid egm2008 --out no --weights $weights --quiet
 rm -rf twins twin.tif two geoid
+# The rasters in another system: all on one grid, and nothing else changes.
+succeeds "rasters in another system" "$satsurf" reconstruct "${images[@]}" --crs EPSG:3857 --geoid egm96 --out moved --weights $weights --mesh none --quiet
+holds "say which" grep -q '^surface .*, EPSG:3857, ' stdout
+holds "and the record too" grep -q '"crs": "EPSG:3857",' moved/run.json
+holds "the report tells it" grep -q 'what the rasters are in; this page is in EPSG:32' moved/report.html
+holds "surfels stay where they are" cmp moved/surfels.ply bare/surfels.ply
+holds "and pictures" cmp moved/height.png bare/height.png
+for file in dsm confidence ortho views; do holds "$file has moved" bash -c "test -s moved/$file.tif && ! cmp -s moved/$file.tif bare/$file.tif"; done
+holds "nothing is left over" test -z "$(ls moved/*.rows moved/*.part 2>/dev/null)"
+succeeds "a coloured mesh of them" "$satsurf" export --dsm moved/dsm.tif --ortho moved/ortho.tif --to moved.glb --quiet
+rm -rf moved moved.glb
+succeeds "the plan in another system" "$satsurf" reconstruct "${images[@]}" --crs EPSG:3857 --dry-run --weights $weights --quiet
+holds "says so" grep -q '^rasters  *EPSG:3857, by resampling' stdout
+refuses "rasters in degrees" 2 "EPSG:4326 counts in degrees, expected a projected system in metres" "$satsurf" reconstruct "${images[@]}" --crs EPSG:4326 --out no --weights $weights --quiet
+refuses "rasters in feet" 2 "EPSG:2263 counts in US survey foot" "$satsurf" reconstruct "${images[@]}" --crs EPSG:2263 --out no --weights $weights --quiet
+refuses "rasters in a system of heights too" 2 "EPSG:7415 .*--geoid" "$satsurf" reconstruct "${images[@]}" --crs EPSG:7415 --out no --weights $weights --quiet
+refuses "rasters in a system of elsewhere" 2 "EPSG:5041 is for .*the images lie at lon" "$satsurf" reconstruct "${images[@]}" --crs EPSG:5041 --out no --weights $weights --quiet
 # A part of the ground: inside a triangle in the zone of the images, and between meridians and parallels.
 "$satsurf" reconstruct "${images[@]}" --dry-run --weights $weights --quiet >plan.txt 2>stderr
 read -r epsg x0 x1 y0 y1 < <(sed -nE 's/^ground +EPSG:([0-9]+), east ([0-9]+) to ([0-9]+), north ([0-9]+) to ([0-9]+) .*/\1 \2 \3 \4 \5/p' plan.txt)

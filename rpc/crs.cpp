@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/rpc/crs.h"
+
+#include "satsurf/rpc/gdal.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include <ogr_spatialref.h>
+
+namespace satsurf::rpc {
+namespace {
+
+/// throws  ConfigError naming what came instead of a projected system in metres
+void check_kind(const OGRSpatialReference& crs, const std::string& text) {
+  const auto refuse = [&](const std::string& what) {
+    throw ConfigError("crs: " + text.substr(0, 200) + " " + what +
+                      ", expected a projected system in metres, as EPSG:32631 is");
+  };
+  if (crs.IsCompound())
+    refuse("is a compound system with heights (--geoid says what they are above)");
+  if (crs.IsGeographic()) refuse("counts in degrees");
+  if (!crs.IsProjected()) refuse("is no projected system");
+  const char* unit = nullptr;
+  const double metres = crs.GetLinearUnits(&unit);
+  if (std::abs(metres - 1) > 1e-9)
+    refuse(std::string("counts in ") + (unit == nullptr ? "another unit" : unit));
+}
+
+std::string wkt_of(const OGRSpatialReference& crs) {
+  const char* const options[] = {"FORMAT=WKT2_2019", nullptr};
+  char* text = nullptr;
+  crs.exportToWkt(&text, options);
+  const std::string wkt = text == nullptr ? "" : text;
+  CPLFree(text);
+  return wkt;
+}
+
+}  // namespace
+
+ProjectedCrs projected_crs(const std::string& text) {
+  const GdalScope scope;
+  OGRSpatialReference crs;
+  if (crs.SetFromUserInput(
+          text.c_str(), OGRSpatialReference::SET_FROM_USER_INPUT_LIMITATIONS_get()) != OGRERR_NONE)
+    throw ConfigError("crs: " + text.substr(0, 200) +
+                      " names no reference system, expected a code such as EPSG:32631, WKT or a "
+                      "string of PROJ");
+  check_kind(crs, text);
+  ProjectedCrs out;
+  out.wkt = wkt_of(crs);
+  const char *authority = crs.GetAuthorityName(nullptr), *code = crs.GetAuthorityCode(nullptr);
+  const char* name = crs.GetName();
+  if (authority != nullptr && code != nullptr) {
+    out.label = std::string(authority) + ":" + code;
+    if (std::string(authority) == "EPSG") out.epsg = std::atoi(code);
+  } else {
+    out.label = name == nullptr ? "unnamed" : name;
+  }
+  return out;
+}
+
+void check_area_of_use(const ProjectedCrs& crs, double lon, double lat) {
+  constexpr double kBeyond = 2;  // degrees; grids are in use somewhat beyond their areas
+  const GdalScope scope;
+  OGRSpatialReference system;
+  double west = 0, south = 0, east = 0, north = 0;
+  const char* name = nullptr;
+  if (system.importFromWkt(crs.wkt.c_str()) != OGRERR_NONE ||
+      !system.GetAreaOfUse(&west, &south, &east, &north, &name) || west <= -1000)
+    return;
+  // how far a meridian lies to the east of the western one, on the way round the Earth
+  const auto from_west = [&](double at) { return at - west - 360 * std::floor((at - west) / 360); };
+  const double width = from_west(east) == 0 && east != west ? 360 : from_west(east),
+               passed = from_west(lon);
+  const double beside = passed <= width ? 0 : std::min(passed - width, 360 - passed);
+  const double above = std::max({0.0, south - lat, lat - north});
+  if (beside <= kBeyond && above <= kBeyond) return;
+  char text[300];
+  std::snprintf(
+      text, sizeof text,
+      "is for %.120s (lon %.1f to %.1f, lat %.1f to %.1f), the images lie at lon %.2f, lat "
+      "%.2f, expected a system for there",
+      name == nullptr ? "another place" : name, west, east, south, north, lon, lat);
+  throw ConfigError("crs: " + crs.label + " " + text);
+}
+
+}  // namespace satsurf::rpc
