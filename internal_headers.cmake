@@ -16,4 +16,4 @@ set(satsurf_internal_headers
   "/train/(sample_batch)\\.h$"
   "/evaluate/score_views\\.h$")
 # Of the readers' room the engine has the cameras alone.
-set(satsurf_reader_headers "/rpc/(area|crs|geoid|raster|read|warp)\\.h$")
+set(satsurf_reader_headers "/rpc/(area|crs|geoid|ground_raster|raster|read|warp)\\.h$")

@@ -32,7 +32,7 @@ bool needs_tiles(const ReconstructJob& job) {
              reconstruct::window_for_memory(
                  job.networks.model.config(),
                  {std::min(static_cast<Index>(options.images.size()), options.max_views), largest},
-                 reconstruct::surface_kind(job.how()),
+                 reconstruct::surface_kind(job.how({})),
                  memory_from_text(options.max_memory, "max_memory"));
 }
 

@@ -11,6 +11,7 @@
 #include "satsurf/scene/pointing_file.h"
 
 #include <cstdio>
+#include <memory>
 #include <utility>
 
 #include <fmt/format.h>
@@ -44,11 +45,18 @@ scene::PointingChoice pointing_of(const ReconstructConfig& config) {
   return {.given = scene::read_pointing(config.pointing)};
 }
 
+/// throws  IoError, ConfigError
 scene::ViewRules rules_of(const ReconstructConfig& config) {
   scene::ViewRules rules;
   rules.validity.nodata = config.nodata;
   rules.pointing = pointing_of(config);
   rules.most_views = config.max_views;
+  if (!config.mask.empty()) rules.mask = std::make_shared<rpc::GroundMask>(config.mask);
+  if (!config.dem.empty()) {
+    if (config.height_range)
+      throw ConfigError("height_range and dem came, expected one of them to say the heights");
+    rules.terrain = std::make_shared<rpc::Terrain>(config.dem);
+  }
   return rules;
 }
 
@@ -84,7 +92,7 @@ std::optional<OutputFolder> staged_folder(const ReconstructJob& job) {
   apart.insert(apart.end(), options.image_dirs.begin(), options.image_dirs.end());
   apart.push_back(options.config_file);
   if (job.rules.pointing.given) apart.push_back(options.pointing);
-  apart.push_back(options.aoi);
+  for (const fs::path& file : {options.aoi, options.mask, options.dem}) apart.push_back(file);
   return OutputFolder::staged(options.out, options.overwrite, std::move(apart));
 }
 
@@ -161,18 +169,25 @@ ReconstructJob::ReconstructJob(const ReconstructCommand& asked)
   check_geoid(asked);
 }
 
-reconstruct::ReconstructOptions ReconstructJob::how() const {
+reconstruct::ReconstructOptions ReconstructJob::how(const rpc::LocalFrame& frame) const {
   reconstruct::ReconstructOptions out;
   out.surface = options.surface;
   out.network = networks.surface ? &*networks.surface : nullptr;
   out.resolution = options.resolution;
+  if (rules.mask)
+    out.unwanted = [mask = rules.mask, frame](const reconstruct::Grid& grid) {
+      return mask->on(
+          {frame.zone.epsg(), grid.east + frame.easting0, grid.north + frame.northing0, grid.step},
+          grid.height, grid.width);
+    };
   return out;
 }
 
 std::vector<fs::path> ReconstructJob::inputs(const scene::Scene& scene) const {
   std::vector<fs::path> out{weights};
   if (rules.pointing.given) out.push_back(options.pointing);
-  if (!options.aoi.empty()) out.push_back(options.aoi);
+  for (const fs::path& file : {options.aoi, options.mask, options.dem})
+    if (!file.empty()) out.push_back(file);
   for (const scene::View& view : scene.views)
     out.insert(out.end(), view.files.begin(), view.files.end());
   return out;
@@ -199,6 +214,10 @@ void ReconstructJob::note_scene(const scene::UserScene& user) {
   note_left_out(user, progress);
   note_pointing(user, progress);
   note_range(user.range, progress);
+  if (!user.range.trouble.empty())
+    warnings.add(reconstruct::Warning{
+        "dem_unused",
+        "the terrain says no heights: " + user.range.trouble + "; they are " + user.range.source});
   note_borders(user.scene, progress);
   warnings.add(reconstruct::scene_warnings(user.scene));
   if (!staged) return;

@@ -80,7 +80,8 @@ struct ReconstructJob {
   /// throws  IoError, ConfigError
   explicit ReconstructJob(const ReconstructCommand& options);
   /// How a surface is made, with the progress left to the caller.
-  reconstruct::ReconstructOptions how() const;
+  /// frame  of the scene
+  reconstruct::ReconstructOptions how(const rpc::LocalFrame& frame) const;
   /// All files that a run reads: weights, shifts, area, and those of the images.
   std::vector<std::filesystem::path> inputs(const scene::Scene& scene) const;
   /// Sees that the rasters' system suits the images; one that is the frame's is forgotten.

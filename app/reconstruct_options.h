@@ -66,10 +66,12 @@ struct ReconstructConfig {
   double min_coverage = 0;  ///< share of the common ground that must have a height
   Index max_surfels = 0;    ///< of surfels.ply, 0 for all
   MeshKind mesh = MeshKind::tsdf;
-  double voxel = 0;           ///< of the mesh, m; 0 for two pixels on the ground
-  std::vector<double> bbox;   ///< west, south, east, north in degrees; empty for all ground
-  std::filesystem::path aoi;  ///< polygons around the ground wanted; empty for all
-  std::string max_memory;     ///< of the program, e.g. "4GB"; empty for any
+  double voxel = 0;            ///< of the mesh, m; 0 for two pixels on the ground
+  std::vector<double> bbox;    ///< west, south, east, north in degrees; empty for all ground
+  std::filesystem::path aoi;   ///< polygons around the ground wanted; empty for all
+  std::filesystem::path mask;  ///< ground that is not wanted; empty for none
+  std::filesystem::path dem;   ///< model of the terrain that says the heights; empty for none
+  std::string max_memory;      ///< of the program, e.g. "4GB"; empty for any
   ReportKind report = ReportKind::html;
 
   template <class Self, class V>
@@ -101,7 +103,7 @@ struct ReconstructConfig {
             .unit = "m",
             .min = -12000,
             .max = 10000,
-            .automatic = "from metadata, else found",
+            .automatic = "of --dem, else from metadata, else found",
             .flag = "--height-range",
             .placeholder = "LOW HIGH"});
     v("pointing", s.pointing,
@@ -161,6 +163,20 @@ struct ReconstructConfig {
                     "system (GeoJSON, GeoPackage, shapefile, KML and alike)",
             .automatic = "all that two images see",
             .flag = "--aoi"});
+    v("mask", s.mask,
+      Field{.help = "ground that is not wanted, water or clouds: polygons of a vector file, or the "
+                    "cells of a raster that are neither 0 nor nodata, in any reference system. It "
+                    "stays nodata in all files, and its heights do not count where the height "
+                    "range is found",
+            .automatic = "none",
+            .placeholder = "FILE"});
+    v("dem", s.dem,
+      Field{.help = "a raster of terrain heights in m, in any reference system: the heights to "
+                    "search are its own over the images' ground and 20 m below to 80 m above, tile "
+                    "by tile. A compound system says what its heights are above; without one they "
+                    "may be above the ellipsoid or EGM96",
+            .automatic = "none",
+            .placeholder = "FILE"});
     v("max_memory", s.max_memory,
       Field{.help = "memory that the program may take, e.g. 4GB: the tiles that large images are "
                     "worked on in are as large as it allows, and 1280 px at most",
@@ -238,7 +254,9 @@ inline std::vector<WrittenFile> written_by_reconstruct() {
 /// The `results` of its record.
 inline std::vector<WrittenFile> told_by_reconstruct() {
   return {
-      {"completeness", "share of the cells of the images' common ground that have a height"},
+      {"completeness",
+       "share of the cells of the images' common ground, what --mask covers not counted, that have "
+       "a height"},
       {"cells", "rows and columns of the rasters"},
       {"resolution", "side of a cell, m"},
       {"crs", "system of dsm.tif and the other rasters: its code, or its name where it has none"},

@@ -16,6 +16,7 @@
 #include "satsurf/rpc/area.h"
 #include "satsurf/scene/pointing_file.h"
 #include "satsurf/scene/survey.h"
+#include "satsurf/scene/terrain.h"
 #include "satsurf/splat/select.h"
 
 #include <algorithm>
@@ -194,8 +195,25 @@ class TileMaker {
       const reconstruct::Ground ground = tiling_.grid_of(tiling_.tiles[k].all).ground();
       const scene::Scene& whole = survey_.user.scene;
       if (!wanted_.meets(ground, whole.frame)) return scene::WindowedScene{};
-      return scene::read_windows(survey_, ground, whole.z_range);
+      return scene::read_windows(survey_, ground, range_over(ground));
     });
+  }
+
+  /// Heights to search over a part of the ground: by the terrain, where it says any that the whole
+  /// range holds.
+  rpc::HeightRange range_over(const reconstruct::Ground& ground) const {
+    const scene::Scene& whole = survey_.user.scene;
+    const rpc::LocalFrame& frame = whole.frame;
+    if (!job_.rules.terrain || !survey_.user.range.trouble.empty()) return whole.z_range;
+    const scene::TerrainRange by =
+        scene::terrain_range(*job_.rules.terrain, frame.zone,
+                             {ground.x0 + frame.easting0, ground.y0 + frame.northing0,
+                              ground.x1 + frame.easting0, ground.y1 + frame.northing0});
+    if (!by.height_range) return whole.z_range;
+    const rpc::HeightRange z = frame.z_from_heights(*by.height_range);
+    const rpc::HeightRange out{std::max(z.low, whole.z_range.low),
+                               std::min(z.high, whole.z_range.high)};
+    return out.has_span() ? out : whole.z_range;
   }
 
   void report(double part) const {
@@ -208,7 +226,7 @@ class TileMaker {
   TileRecord make(const Tile& tile, const scene::WindowedScene& part) {
     const auto start = Clock::now();
     report(0);
-    reconstruct::ReconstructOptions how = job_.how();
+    reconstruct::ReconstructOptions how = job_.how(survey_.user.scene.frame);
     how.resolution = tiling_.grid.step;
     how.progress = [&](const std::string& stage, double fraction) {
       report(stage == "surface" ? 0.8 + 0.1 * fraction : 0);
@@ -367,8 +385,8 @@ void reconstruct_tiles(ReconstructJob& job) {
       options.images, options.image_dirs, job.height_range, stop_if_interrupted, job.rules);
   const scene::Scene& scene = survey.user.scene;
   const Wanted wanted = wanted_ground(options, scene.frame);
-  const Tiling tiling = reconstruct::plan_tiles(job.networks.model.config(), survey, job.how(),
-                                                wanted.ground, max_memory);
+  const Tiling tiling = reconstruct::plan_tiles(job.networks.model.config(), survey,
+                                                job.how(scene.frame), wanted.ground, max_memory);
   job.settle_crs(survey.user);
   if (store)
     store->begin(plan_json(job, survey, tiling));  // before files are read for their hashes

@@ -172,7 +172,7 @@ void reconstruct_whole(ReconstructJob& job) {
   job.note_scene(user);
 
   const auto start = std::chrono::steady_clock::now();
-  reconstruct::ReconstructOptions how = job.how();
+  reconstruct::ReconstructOptions how = job.how(scene.frame);
   const bool with_mesh = options.mesh == MeshKind::tsdf;
   if (with_mesh) how.mesh = options.voxel;
   how.progress = [&](const std::string& stage, double fraction) {

@@ -153,7 +153,8 @@ std::string reference(const Program& program) {
   out += "## Warnings of reconstruct\n\n" +
          table({"Code", "Where"}, pairs_of(reconstruct::warning_codes())) +
          "Besides, PART_failed where a part could not be made that the surface can do without: "
-         "orthophoto,\npictures, mesh or report.\n\n";
+         "orthophoto,\npictures, mesh or report; tile_failed where a tile could not be made; "
+         "dem_unused where the terrain of --dem\nsays no heights.\n\n";
   out += columns_text();
   out += "## Exit codes\n\n" +
          table({"Code", "Meaning"}, {{"0", "done"},

@@ -68,9 +68,42 @@ double most_parallax(const scene::Scene& scene) {
   return most;
 }
 
+/// Unwanted ground around the middle of a scene, by cells of a few pixels.
+class Unwanted {
+ public:
+  Unwanted(const std::function<Tensor(const Grid&)>& of, const scene::Scene& scene) {
+    constexpr Index kCells = 1024;  // a side
+    if (!of) return;
+    const std::array<double, 3> middle = middle_of(scene);
+    double reach = 0;  // of the views from there, m
+    for (const scene::View& v : scene.views)
+      for (const double x : {0.0, static_cast<double>(v.width())})
+        for (const double y : {0.0, static_cast<double>(v.height())})
+          for (const double z : {scene.z_range.low, scene.z_range.high}) {
+            const auto p =
+                scene.frame.local_from_geodetic(v.rpc.localize({x, y}, z + scene.frame.h0));
+            reach = std::max({reach, std::abs(p[0] - middle[0]), std::abs(p[1] - middle[1])});
+          }
+    grid_ = {middle[0] - reach, middle[1] + reach, 2 * reach / static_cast<double>(kCells), kCells,
+             kCells};
+    cells_ = of(grid_);
+  }
+  bool holds(double x, double y) const {
+    if (cells_.empty()) return false;
+    const auto u = static_cast<Index>(std::floor((x - grid_.east) / grid_.step)),
+               v = static_cast<Index>(std::floor((grid_.north - y) / grid_.step));
+    return u >= 0 && v >= 0 && u < grid_.width && v < grid_.height &&
+           cells_[v * grid_.width + u] > 0;
+  }
+
+ private:
+  Grid grid_;
+  Tensor cells_;
+};
+
 /// The heights on which a pixel that is rather sure and another view agree.
 std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& heights,
-                                  const Tensor& confidence) {
+                                  const Tensor& confidence, const Unwanted& unwanted) {
   constexpr float kSure = 0.3f;
   const CrossCheck check(input, heights);
   const Index P = heights.dim(1) * heights.dim(2);
@@ -86,7 +119,11 @@ std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& h
         const Index there = j == i ? -1 : check.landing(i, j, p, z);
         agrees = there >= 0 && std::abs(check.height(j, there) - z) < within;
       }
-      if (agrees) out.push_back(static_cast<float>(z));
+      if (!agrees) continue;
+      const Index W = input.sources[i].valid.dim(1);
+      const auto at = input.sources[i].local_from_pixel(static_cast<double>(p % W),
+                                                        static_cast<double>(p / W), z);
+      if (!unwanted.holds(at[0], at[1])) out.push_back(static_cast<float>(z));
     }
   return out;
 }
@@ -94,7 +131,8 @@ std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& h
 }  // namespace
 
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
-                                const std::function<void()>& poll) {
+                                const std::function<void()>& poll,
+                                const std::function<Tensor(const Grid&)>& unwanted) {
   constexpr double kApart = 0.5;  // stage pixels between the first stage's hypotheses
   constexpr int kLooks = 3;
   constexpr std::size_t kFewest = 200;
@@ -112,6 +150,7 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
   const Index multiple = nn::size_multiple(model.config());
   std::vector<Index> sources(small.views.size());
   std::iota(sources.begin(), sources.end(), Index{0});
+  const Unwanted left_out(unwanted, scene);
   // The narrower the range the fewer are wrong, so that the next look may narrow it further.
   for (int look = 0; look < kLooks && small.z_range.span() > most; ++look) {
     const rpc::HeightRange& range = small.z_range;
@@ -121,8 +160,9 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
                                  .size = (largest / factor + multiple - 1) / multiple * multiple,
                                  .z_range = range});
     const auto stages = model.forward(crop.input, poll, nullptr, nn::Wanted::heights);
-    std::vector<float> agreed = agreed_heights(crop.input, stages[2].height.value(),
-                                               nn::effective_confidence(model.config(), stages[2]));
+    std::vector<float> agreed =
+        agreed_heights(crop.input, stages[2].height.value(),
+                       nn::effective_confidence(model.config(), stages[2]), left_out);
     if (agreed.size() < kFewest) break;
     const rpc::HeightRange found = scene::believable_span(std::move(agreed), range);
     const rpc::HeightRange next{std::max(range.low, found.low - kBelow),

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/model.h"
+#include "satsurf/reconstruct/plan.h"
 #include "satsurf/scene/scene.h"
 
 #include <functional>
@@ -15,9 +16,11 @@ namespace satsurf::reconstruct {
 /// remains is the believable span (`scene::believable_span`) of the heights on which two views
 /// agree there, with a margin of 20 m above and 10 m below. Else, or where hardly anything agrees,
 /// it is the scene's own range.
-/// poll     called between layers, may throw to stop
-/// returns  a part of `scene.z_range`, local m
+/// poll      called between layers, may throw to stop
+/// unwanted  ground on which heights do not count, see ReconstructOptions; may be empty
+/// returns   a part of `scene.z_range`, local m
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
-                                const std::function<void()>& poll = {});
+                                const std::function<void()>& poll = {},
+                                const std::function<Tensor(const Grid&)>& unwanted = {});
 
 }  // namespace satsurf::reconstruct

@@ -59,6 +59,9 @@ struct ReconstructOptions {
   Index tile = 0;
   /// The cells to make, in one window; none: those of the views' common ground.
   std::optional<Grid> grid;
+  /// Says of cells, [H W], which lie on ground that is not wanted, by 1: they stay unknown, have no
+  /// surfels, and their heights do not count where the range is narrowed. May be empty.
+  std::function<Tensor(const Grid&)> unwanted;
   bool narrow = true;  ///< look for a narrower range of heights first, see `narrowed_range`
   /// Voxel of the mesh that will be made of it, m, 0 for two ground pixels; none without a mesh.
   std::optional<double> mesh;

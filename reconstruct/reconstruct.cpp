@@ -126,13 +126,15 @@ FusedSurface splatted(const splat::Surfels& surfels, const ReconstructPlan& plan
 }
 
 /// Puts a surface on the grid of the plan and counts its cells.
+/// unwanted  [H W] 1 where cells are not counted, or empty
 void keep_surface(Reconstruction& out, FusedSurface surface, const scene::Scene& scene,
-                  const ReconstructPlan& plan) {
+                  const ReconstructPlan& plan, const Tensor& unwanted) {
   const Index W = plan.width, H = plan.height;
   out.dsm = {std::move(surface.heights), plan.east, plan.north, plan.step};
   out.confidence = std::move(surface.confidence);
   Index found = 0, expected = 0;
   for (Index i = 0; i < H * W; ++i) {
+    if (!unwanted.empty() && unwanted[i] > 0) continue;
     if (std::isfinite(out.dsm.z[i])) {
       ++found;
       ++expected;
@@ -145,14 +147,37 @@ void keep_surface(Reconstruction& out, FusedSurface surface, const scene::Scene&
   out.completeness = expected > 0 ? static_cast<double>(found) / static_cast<double>(expected) : 0;
 }
 
+/// Forgets the surface and the surfels of unwanted cells.
+void leave_out(Reconstruction& out, const Tensor& unwanted, const ReconstructPlan& plan) {
+  for (Index i = 0; i < unwanted.count(); ++i) {
+    if (!(unwanted[i] > 0)) continue;
+    out.dsm.z[i] = out.confidence[i] = std::nanf("");
+    if (!out.sigma.empty()) out.sigma[i] = std::nanf("");
+  }
+  const Tensor& means = out.surfels.means.value();
+  std::vector<Index> keep;
+  for (Index i = 0; i < means.dim(0); ++i) {
+    const auto u = static_cast<Index>(
+                   std::floor((static_cast<double>(means[3 * i]) - plan.east) / plan.step)),
+               v = static_cast<Index>(
+                   std::floor((plan.north - static_cast<double>(means[3 * i + 1])) / plan.step));
+    const bool inside = u >= 0 && v >= 0 && u < plan.width && v < plan.height;
+    if (!inside || !(unwanted[v * plan.width + u] > 0)) keep.push_back(i);
+  }
+  out.surfels = splat::selected(out.surfels, keep);
+}
+
 /// The scene with the heights that are worth searching.
 scene::Scene narrowed(const nn::Model& model, const scene::Scene& scene,
                       const ReconstructOptions& options) {
   scene::Scene out = scene;
   if (!options.narrow) return out;
-  out.z_range = narrowed_range(model, scene, [&] {
-    if (options.progress) options.progress("network", 0);
-  });
+  out.z_range = narrowed_range(
+      model, scene,
+      [&] {
+        if (options.progress) options.progress("network", 0);
+      },
+      options.unwanted);
   return out;
 }
 
@@ -264,8 +289,14 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
   out.memory.push_back({"surface", static_cast<double>(peak_tensor_bytes()) - before});
   raise_peak_tensor_bytes(earlier);
   report(1);
-  keep_surface(out, std::move(surface), scene, plan);
+  const Tensor unwanted =
+      options.unwanted
+          ? options.unwanted({plan.east, plan.north, plan.step, plan.height, plan.width})
+          : Tensor();
+  keep_surface(out, std::move(surface), scene, plan, unwanted);
   if (!out.sigma.empty()) out.surfels = cast_on(out.surfels, all.evidence.rays, out.dsm);
+  // last, so that a ray that ends on such ground is not cast beyond it
+  if (!unwanted.empty()) leave_out(out, unwanted, plan);
   return out;
 }
 

@@ -74,11 +74,17 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
   TileSurface out;
   const Grid grid = tiling.grid_of(tile.all), core = tiling.grid_of(tile.core);
   if (part.scene.views.size() < 2 || !shown_by_two(part.scene, grid.ground())) return out;
+  const Tensor unwanted = options.unwanted ? options.unwanted(core) : Tensor();
+  if (!unwanted.empty() && std::ranges::all_of(unwanted.values(), [](float v) { return v > 0; }))
+    return out;
   const NoGrad no_grad;
   scene::Scene scene = part.scene;
-  scene.z_range = narrowed_range(model, scene, [&] {
-    if (options.progress) options.progress("network", 0);
-  });
+  scene.z_range = narrowed_range(
+      model, scene,
+      [&] {
+        if (options.progress) options.progress("network", 0);
+      },
+      options.unwanted);
   ReconstructOptions how = options;
   how.grid = grid, how.narrow = false, how.mesh = {};
   how.tile = std::min(tiling.window, window_side(scene, grid.ground()));
@@ -98,6 +104,7 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
   if (!ortho.empty()) out.ortho = part_of(ortho, y0, x0, h, w);
   const Tensor heights = part_of(made.dsm.z, y0, x0, h, w);
   for (Index i = 0; i < heights.count(); ++i) {
+    if (!unwanted.empty() && unwanted[i] > 0) continue;
     const bool has = std::isfinite(heights[i]);
     out.found += has ? 1 : 0;
     out.expected +=

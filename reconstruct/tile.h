@@ -8,7 +8,8 @@ namespace satsurf::reconstruct {
 
 /// What became of one tile.
 struct TileSurface {
-  bool empty = true;         ///< fewer than two views show anything of it; nothing else is set then
+  bool empty =
+      true;  ///< fewer than two views show anything of it, or none of it is wanted; nothing else is set then
   Tensor heights;            ///< [h w] of all its cells, local z in m, NaN where unknown
   Tensor confidence;         ///< alike
   Tensor sigma;              ///< alike; empty unless the surface is refined

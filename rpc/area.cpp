@@ -117,6 +117,16 @@ std::unique_ptr<OGRGeometry> polygons_of(const fs::path& path, GDALDataset& d,
 
 }  // namespace
 
+bool is_vector_file(const fs::path& path) {
+  std::vector<std::string> names = vector_drivers();
+  std::vector<const char*> list;
+  for (const std::string& n : names) list.push_back(n.c_str());
+  list.push_back(nullptr);
+  const std::string name = path.string();
+  return !name.starts_with("/vsi") &&
+         GDALIdentifyDriverEx(name.c_str(), GDAL_OF_VECTOR, list.data(), nullptr) != nullptr;
+}
+
 std::vector<double> Area::crossings(double northing) const {
   std::vector<double> out;
   for (const auto& ring : rings)

@@ -125,6 +125,9 @@ enum class Sampled { nearest, lowest, highest };
 Tensor first_band_on(GDALDataset& d, const OGRSpatialReference& crs, const GeoGrid& grid,
                      Index height, Index width, Sampled how);
 
+/// Whether a file is of one of the vector formats that are read.
+bool is_vector_file(const std::filesystem::path& path);
+
 /// What read_info() says, of an open file.
 /// throws  IoError
 RasterInfo info_of(const std::filesystem::path& path, GDALDataset& d);

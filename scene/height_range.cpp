@@ -195,7 +195,8 @@ rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRa
 }
 
 rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& searched,
-                                   const std::function<void()>& poll) {
+                                   const std::function<void()>& poll,
+                                   const std::function<bool(double, double)>& unwanted) {
   if (!searched.has_span())
     throw ConfigError("height range: " + std::to_string(searched.low) + " to " +
                       std::to_string(searched.high) + " m, expected a positive span to search");
@@ -273,6 +274,14 @@ rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& s
   std::vector<char> believed(static_cast<std::size_t>(P));
   for (Index i = 0; i < P; ++i)
     believed[static_cast<std::size_t>(i)] = best[i] >= kAgreement && best[i] - rival[i] >= kUnique;
+  for (Index i = 0; i < P && unwanted; ++i) {
+    if (!believed[static_cast<std::size_t>(i)]) continue;
+    const rpc::Pixel pixel{(static_cast<double>(i % W) + 0.5) * f - 0.5,
+                           (static_cast<double>(i / W) + 0.5) * f - 0.5};
+    const auto p = scene.frame.local_from_geodetic(
+        reference.rpc.localize(pixel, static_cast<double>(where[i]) + scene.frame.h0));
+    if (unwanted(p[0], p[1])) believed[static_cast<std::size_t>(i)] = 0;
+  }
   std::vector<float> heights = heights_of_patches(where, believed, H, W, static_cast<float>(peak));
   if (static_cast<Index>(heights.size()) < kFewest) {
     char text[160];

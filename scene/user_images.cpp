@@ -3,6 +3,7 @@
 
 #include "satsurf/scene/height_range.h"
 #include "satsurf/scene/polygon.h"
+#include "satsurf/scene/terrain.h"
 #include "satsurf/scene/view_geometry.h"
 #include "satsurf/scene/view_pair.h"
 
@@ -19,6 +20,7 @@ namespace fs = std::filesystem;
 /// Source of a range that is not used as it is, but searched.
 constexpr const char* kCameraRange = "of the cameras";
 constexpr const char* kMetadataRange = "from the images' metadata";
+constexpr const char* kTerrainRange = "from the terrain";
 
 std::string kilometres(double metres) {
   char text[32];
@@ -131,6 +133,80 @@ RangeChoice choose_range(const std::optional<rpc::HeightRange>& wanted,
   }
   if (named && named->has_span()) return {*named, kMetadataRange};
   return {camera_range(views), kCameraRange};
+}
+
+/// Rectangle around what some polygons hold; without a span where that is nothing.
+std::array<double, 4> around(const std::vector<Polygon>& ground) {
+  std::array<double, 4> out{INFINITY, INFINITY, -INFINITY, -INFINITY};
+  for (const Polygon& polygon : ground)
+    for (const auto& [x, y] : polygon)
+      out = {std::min(out[0], x), std::min(out[1], y), std::max(out[2], x), std::max(out[3], y)};
+  return out;
+}
+
+/// Rectangle around what any two views see at some height of a range; small images share ground at
+/// few heights of a wide one.
+std::array<double, 4> shared_ground(const std::vector<View>& views, const rpc::UtmZone& zone,
+                                    const rpc::HeightRange& range) {
+  constexpr int kTried = 65;  // heights
+  std::vector<Polygon> shared;
+  for (int k = 0; k < kTried; ++k) {
+    const double h = range.low + range.span() * k / (kTried - 1);
+    std::vector<Polygon> ground;
+    for (const View& v : views) ground.push_back(footprint(v.rpc, v.width(), v.height(), zone, h));
+    for (std::size_t i = 0; i < ground.size(); ++i)
+      for (std::size_t j = i + 1; j < ground.size(); ++j)
+        shared.push_back(intersect(ground[i], ground[j]));
+  }
+  return around(shared);
+}
+
+/// The range that a model of the terrain says, or why it says none; what was known before otherwise.
+/// known  range that the images' metadata or cameras say
+RangeChoice choice_by_terrain(const rpc::Terrain& terrain, const RangeChoice& known,
+                              const std::vector<View>& views, const rpc::UtmZone& zone) {
+  // The ground of all heights of the cameras first, of which the model may know a part, then that of
+  // the terrain's own.
+  rpc::HeightRange range = known.height_range;
+  RangeChoice out = known;
+  for (const double least : {0.0, kTerrainKnown}) {
+    const std::array<double, 4> ground = shared_ground(views, zone, range);
+    if (!(ground[0] < ground[2])) return out;  // which the overlap check has the words for
+    const TerrainRange by = terrain_range(terrain, zone, ground, least);
+    if (!by.height_range) {
+      out = known, out.trouble = by.trouble;
+      return out;
+    }
+    out.height_range = *by.height_range, out.source = kTerrainRange;
+    range = {out.height_range.low + kBelowTerrain, out.height_range.high - kAboveTerrain};
+    try {
+      check_wanted(out.height_range, views);
+    } catch (const ConfigError& e) {
+      out = known, out.trouble = terrain.path().string() + ": " + e.what();
+      return out;
+    }
+  }
+  return out;
+}
+
+/// Whether a point of the local frame lies under a mask, by cells of some metres.
+std::function<bool(double, double)> under_mask(const rpc::GroundMask& mask, const Scene& scene,
+                                               const rpc::HeightRange& range) {
+  constexpr double kCells = 1024;  // a side; the images are compared in a quarter of these pixels
+  const std::array<double, 4> all = shared_ground(scene.views, scene.frame.zone, range);
+  const double side = std::max(all[2] - all[0], all[3] - all[1]), step = side / kCells;
+  if (!(side > 0)) return {};
+  const auto cells = [&](double length) {
+    return std::max<Index>(1, static_cast<Index>(std::ceil(length / step)));
+  };
+  const Index H = cells(all[3] - all[1]), W = cells(all[2] - all[0]);
+  const Tensor covered = mask.on({scene.frame.zone.epsg(), all[0], all[3], step}, H, W);
+  const double x0 = all[0] - scene.frame.easting0, y0 = all[3] - scene.frame.northing0;
+  return [=](double x, double y) {
+    const auto u = static_cast<Index>(std::floor((x - x0) / step)),
+               v = static_cast<Index>(std::floor((y0 - y) / step));
+    return u >= 0 && v >= 0 && u < W && v < H && covered[v * W + u] > 0;
+  };
 }
 
 /// Where a view is put on the ground: the middle of the range; of its own heights without one.
@@ -256,10 +332,12 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
   scene.views =
       chosen(std::move(views_), wanted ? wanted : named_, rules_.most_views, out.left_out);
   out.range = choose_range(wanted, named_, scene.views);
-  const rpc::HeightRange first = out.range.height_range;  // before images have been compared
-
-  const rpc::Geodetic centre = centre_of(scene.views[0], first);
+  const RangeChoice known = out.range;  // without the terrain
+  const rpc::Geodetic centre = centre_of(scene.views[0], known.height_range);
   scene.frame.zone = rpc::utm_zone_of(centre.lon, centre.lat);
+  if (rules_.terrain && !wanted)
+    out.range = choice_by_terrain(*rules_.terrain, known, scene.views, scene.frame.zone);
+  const rpc::HeightRange first = out.range.height_range;  // before images have been compared
   const std::vector<Polygon> ground = footprints(scene.views, scene.frame.zone, first);
   check_overlaps(scene.views, ground, scene.frame.zone, first, wanted);
   Polygon common = ground[0];
@@ -279,15 +357,27 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
     if (out.pointing->applied) {
       apply_pointing(*out.pointing, scene.views);
       if (out.range.source == kMetadataRange && !holds(first, out.pointing->heights))
-        out.range = {camera_range(scene.views), kCameraRange};
+        out.range = {camera_range(scene.views), kCameraRange, out.range.trouble};
+    }
+    if (const auto& heights = out.pointing->heights;
+        heights && out.range.source == kTerrainRange && !holds(first, heights)) {
+      out.range = known.source == kMetadataRange && holds(known.height_range, heights)
+                      ? known
+                      : RangeChoice{camera_range(scene.views), kCameraRange};
+      out.range.trouble = rules_.terrain->path().string() + ": surface from " + span_text(first) +
+                          ", the images see it from " + span_text(*heights) +
+                          ", expected it within";
     }
   }
 
   if (out.range.source == kCameraRange) {
     const rpc::HeightRange searched = out.range.height_range;
     const rpc::HeightRange found =
-        find_height_range(scene, scene.frame.z_from_heights(searched), poll);
-    out.range = {scene.frame.heights_from_z(found), "found by comparing the images"};
+        find_height_range(scene, scene.frame.z_from_heights(searched), poll,
+                          rules_.mask ? under_mask(*rules_.mask, scene, searched)
+                                      : std::function<bool(double, double)>{});
+    out.range = {scene.frame.heights_from_z(found), "found by comparing the images",
+                 out.range.trouble};
     scene.frame.h0 = std::round(out.range.height_range.middle());
   }
   scene.z_range = scene.frame.z_from_heights(out.range.height_range);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/rpc/ground_raster.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/scene/pointing.h"
 #include "satsurf/scene/scene.h"
@@ -9,6 +10,7 @@
 
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -19,6 +21,7 @@ namespace satsurf::scene {
 struct RangeChoice {
   rpc::HeightRange height_range;  ///< m above the ellipsoid
   std::string source;             ///< in words: where it came from
+  std::string trouble{};          ///< in words: why a model of the terrain was no help; or empty
 };
 
 /// throws  ConfigError for a wanted range that holds no surface: reversed, or of less than a metre
@@ -47,6 +50,10 @@ struct ViewRules {
   ValidityRules validity{};       ///< what of every image does not count
   PointingChoice pointing{};      ///< whether cameras are measured and shifted
   Index most_views = kMostViews;  ///< that the scene is made of; the best, see `choose_views`
+  /// Ground whose heights do not count when the range is searched for; none for all ground.
+  std::shared_ptr<const rpc::GroundMask> mask{};
+  /// That says the range of heights, see `terrain_range`; none for no such model.
+  std::shared_ptr<const rpc::Terrain> terrain{};
 };
 
 /// Views gathered one by one, with what their images say of heights.
@@ -64,8 +71,8 @@ class ViewList {
   /// before any height is searched for. A range of the images' metadata that does not hold the
   /// heights that shifted cameras see is searched for too: the shifts leave open where the ground
   /// as a whole lies.
-  /// wanted  height range; else the one the images' metadata name, else it is searched for with
-  ///         `find_height_range`
+  /// wanted  height range; else that of the rules' terrain over the common ground, else the one the
+  ///         images' metadata name, else it is searched for with `find_height_range`
   /// poll    called often, may throw to stop
   /// throws  ConfigError for a wanted range that is not the cameras', Error for fewer than two
   ///         views or views without overlap or parallax, each naming them

@@ -232,6 +232,29 @@ refuses "an area that is none" 1 "area.txt: not a vector file" "$satsurf" recons
 refuses "no size of memory" 2 "max_memory: .much., expected a size" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --max-memory much --quiet
 refuses "too little memory" 2 "max_memory: 1 MB, expected .* or more for 3 images" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --max-memory 1MB --quiet
 
+# Ground that is not wanted, and terrain that says the heights.
+succeeds "a mask of polygons" "$satsurf" reconstruct "${images[@]}" --out masked --weights $weights --mask area.geojson --quiet
+holds "it is an input of the record" grep -qE '"path": "(.*/)?area.geojson"' masked/run.json
+"$satsurf" evaluate --dsm masked/dsm.tif --truth bare/dsm.tif >stdout 2>stderr
+holds "the rest has heights" grep -qE "completeness ([3-9][0-9])\.[0-9] %" stdout
+holds "what is not wanted has neither surfels" test "$(stat -c %s masked/surfels.ply)" -lt "$(stat -c %s bare/surfels.ply)"
+holds "nor faces" test "$(stat -c %s masked/mesh.ply)" -lt "$(stat -c %s out/mesh.ply)"
+succeeds "the same in tiles" "$satsurf" reconstruct "${images[@]}" --out masked2 --weights $weights --mask area.geojson --max-memory 300MB --bbox="$(awk -v x="$lon" -v y="$lat" 'BEGIN { printf "%.4f,%.4f,%.4f,%.4f", x - 0.01, y - 0.01, x + 0.01, y + 0.01 }')" --mesh none --quiet
+"$satsurf" evaluate --dsm masked2/dsm.tif --truth masked/dsm.tif >stdout 2>stderr
+holds "it is unknown in the same cells" grep -qE "completeness (9[5-9]|100)\.[0-9] %" stdout
+refuses "a mask that is none" 1 "area.txt: " "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --mask area.txt --quiet
+rm -rf masked masked2
+succeeds "terrain" "$satsurf" reconstruct "${images[@]}" --out terrain --weights $weights --mesh none --dem $truth --quiet
+holds "says the heights" grep -q '"height_range_source": "from the terrain"' terrain/run.json
+holds "and is an input" grep -qE '"path": "(.*/)?SIM_001_DSM.tif"' terrain/run.json
+succeeds "terrain of elsewhere" "$satsurf" reconstruct "${images[@]}" --out terrain --overwrite --weights $weights --mesh none --dem data/Track3-Truth/SIM_002_DSM.tif --quiet
+holds "is told" grep -q '^satsurf: .*SIM_002_DSM.tif: it knows 0 % of the images. ground, expected 90 % or more' stderr
+holds "and in the record" grep -q '"code": "dem_unused"' terrain/run.json
+holds "and changes nothing else" cmp terrain/dsm.tif bare/dsm.tif
+refuses "terrain and heights" 2 "height_range and dem came, expected one of them" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --dem $truth --height-range 0 50 --quiet
+refuses "terrain that is none" 1 "area.txt: not a raster" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --dem area.txt --quiet
+rm -rf terrain
+
 # Images in tiles: a run that is killed leaves its tiles, and goes on with them to the same bytes.
 succeeds "simulate for tiles" "$satsurf" simulate --out large --scenes 1 --views 2 --pixels 420 --seed 3 --kinds village --quiet
 tiled=("$satsurf" reconstruct large/Track3-RGB/*.tif --weights $weights --pointing off --max-memory 300MB --quiet)

@@ -263,6 +263,43 @@ TEST_CASE("the plain surface is made of surfels that the splatted one is made of
     }
 }
 
+TEST_CASE("unwanted ground has neither heights nor surfels, and the rest is what it was") {
+  const scene::SimulatedScene made = test::village(96, 3);
+  const scene::Scene scene =
+      scene::scene_from_images(test::HeldImages(made).images(), test::range_of(made)).scene;
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  ReconstructOptions options;
+  const Reconstruction whole = reconstruct::reconstruct(model, scene, options);
+  options.unwanted = [](const Grid& grid) {  // the east
+    Tensor out({grid.height, grid.width});
+    for (Index i = 0; i < out.count(); ++i)
+      out[i] = grid.east + (static_cast<double>(i % grid.width) + 0.5) * grid.step > 0 ? 1.F : 0.F;
+    return out;
+  };
+  const Reconstruction part = reconstruct::reconstruct(model, scene, options);
+  REQUIRE(part.dsm.z.shape() == whole.dsm.z.shape());
+  const Index W = part.dsm.z.dim(1);
+  Index west = 0;
+  for (Index i = 0; i < part.dsm.z.count(); ++i) {
+    const bool unwanted = part.dsm.x0 + (static_cast<double>(i % W) + 0.5) * part.dsm.step > 0;
+    if (unwanted) {
+      CHECK(std::isnan(part.dsm.z[i]));
+      CHECK(std::isnan(part.confidence[i]));
+    } else {
+      CHECK(std::memcmp(&part.dsm.z[i], &whole.dsm.z[i], sizeof(float)) == 0);
+      west += std::isfinite(part.dsm.z[i]) ? 1 : 0;
+    }
+  }
+  CHECK(west > 100);
+  const Tensor& means = part.surfels.means.value();
+  CHECK(means.dim(0) > 100);
+  CHECK(means.dim(0) < whole.surfels.means.dim(0));
+  for (Index k = 0; k < means.dim(0); ++k)
+    CHECK(static_cast<double>(means[3 * k]) < part.dsm.step);  // to the end of the last cell
+  // cells that are not wanted are no gaps
+  CHECK(part.completeness > 0.8 * whole.completeness);
+}
+
 TEST_CASE("tiles give the surface of the whole, without seams") {
   const scene::SimulatedScene made = test::village(256, 3);
   const scene::Scene scene =

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/rng.h"
 #include "satsurf/rpc/raster.h"
+#include "satsurf/scene/terrain.h"
 #include "satsurf/scene/user_images.h"
 #include "satsurf/scene/view_geometry.h"
 
@@ -116,6 +117,39 @@ TEST_CASE("scene_from_views") {
     CHECK(s.views[0].files == std::vector<fs::path>{a});
     const auto origin = s.frame.local_from_geodetic({20, 10, 20});
     CHECK(std::hypot(origin[0], origin[1]) < 1.5);
+  }
+  SUBCASE("a model of the terrain says the range, or why it does not") {
+    const rpc::UtmZone zone = rpc::utm_zone_of(20, 10);
+    const auto middle = rpc::utm_from_geodetic(zone, 20, 10);
+    const auto terrain = [&](const char* name, float height, double east) {
+      rpc::write_geo_raster(folder.path / name, Tensor({200, 200}, height),
+                            {zone.epsg(), middle[0] - 200 + east, middle[1] + 200, 2},
+                            rpc::ellipsoidal_height("Terrain"));
+      return std::make_shared<rpc::Terrain>(folder.path / name);
+    };
+    const auto user_with = [&](std::shared_ptr<const rpc::Terrain> by,
+                               std::optional<rpc::HeightRange> wanted = {}) {
+      return scene_from_views({a, b}, {}, wanted, {},
+                              {.pointing = {.measure = false}, .terrain = std::move(by)});
+    };
+    const UserScene by = user_with(terrain("ground.tif", 8, 0));
+    CHECK(by.range.height_range.low == doctest::Approx(8 - kBelowTerrain));
+    CHECK(by.range.height_range.high == doctest::Approx(8 + kAboveTerrain));
+    CHECK(by.range.source == "from the terrain");
+    CHECK(by.range.trouble.empty());
+    const auto ground = terrain("ground.tif", 8, 0);
+    CHECK(user_with(ground, rpc::HeightRange{3, 40}).range.source == "as given");
+    // what it is no help for is searched, and the reason is told
+    const auto trouble = [&](std::shared_ptr<const rpc::Terrain> of) {
+      const TerrainRange found = terrain_range(
+          *of, zone, {middle[0] - 10, middle[1] - 10, middle[0] + 10, middle[1] + 10});
+      CHECK_FALSE(found.height_range);
+      return found.trouble;
+    };
+    CHECK(trouble(terrain("beside.tif", 8, 200)).find("it knows 50 % of") != std::string::npos);
+    CHECK(trouble(terrain("elsewhere.tif", 8, 900)).find("it knows 0 % of") != std::string::npos);
+    CHECK(trouble(terrain("void.tif", -32768, 0)).find("-32768 to -32768 m, expected those of") !=
+          std::string::npos);
   }
   SUBCASE("two files of one name stay apart") {
     fs::create_directories(folder.path / "other");

@@ -1,0 +1,221 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/rpc/ground_raster.h"
+
+#include "satsurf/rpc/area.h"
+#include "satsurf/rpc/gdal.h"
+#include "satsurf/rpc/geoid.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <mutex>
+#include <optional>
+#include <vector>
+
+#include <ogr_spatialref.h>
+
+namespace satsurf::rpc {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// The system of a raster that lies somewhere.
+/// throws  IoError
+OGRSpatialReference placed_system(const fs::path& path, GDALDataset& d) {
+  std::array<double, 6> place{};
+  if (d.GetGeoTransform(place.data()) != CE_None)
+    throw IoError(path.string() + ": no georeference, expected a raster on the ground");
+  const OGRSpatialReference* crs = d.GetSpatialRef();
+  if (crs == nullptr) throw IoError(path.string() + ": names no reference system, expected one");
+  OGRSpatialReference out(*crs);
+  out.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+  return out;
+}
+
+/// Heights of zero and of one in a vertical system, m above the ellipsoid.
+struct Lifted {
+  double zero = 0, one = 1;
+};
+
+/// throws  Error where PROJ has no grid of the system
+std::vector<Lifted> lifted(int epsg_up, const std::vector<std::array<double, 2>>& lon_lat) {
+  OGRSpatialReference ground, up, from, to;
+  if (ground.importFromEPSG(4326) != OGRERR_NONE || up.importFromEPSG(epsg_up) != OGRERR_NONE ||
+      from.SetCompoundCS("WGS 84 + heights", &ground, &up) != OGRERR_NONE ||
+      to.importFromEPSG(4979) != OGRERR_NONE)
+    throw Error("EPSG:" + std::to_string(epsg_up) +
+                ": not known to PROJ, expected a vertical system");
+  from.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+  to.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+  OGRCoordinateTransformationOptions options;
+  options.SetBallparkAllowed(false);
+  const std::unique_ptr<OGRCoordinateTransformation> transform(
+      OGRCreateCoordinateTransformation(&from, &to, options));
+  const auto heights = [&](double h) {
+    std::vector<double> x, y, z(lon_lat.size(), h);
+    for (const auto& [lon, lat] : lon_lat) x.push_back(lon), y.push_back(lat);
+    std::vector<int> done(lon_lat.size(), 0);
+    const bool all = transform && transform->Transform(static_cast<int>(x.size()), x.data(),
+                                                       y.data(), z.data(), nullptr, done.data());
+    if (!all || !std::ranges::all_of(z, [](double v) { return std::isfinite(v); }))
+      throw Error(std::string("its heights are in ") + up.GetName() +
+                  ", expected a vertical system of which PROJ has the grid here");
+    return z;
+  };
+  const std::vector<double> zero = heights(0), one = heights(1);
+  std::vector<Lifted> out;
+  for (std::size_t i = 0; i < zero.size(); ++i) out.push_back({zero[i], one[i]});
+  return out;
+}
+
+/// Points spread over some ground, degrees.
+std::vector<std::array<double, 2>> spread(const UtmZone& zone, const std::array<double, 4>& g) {
+  constexpr int kParts = 4;  // of a side; geoids are smooth
+  std::vector<std::array<double, 2>> out;
+  for (int i = 0; i <= kParts; ++i)
+    for (int j = 0; j <= kParts; ++j)
+      out.push_back(geodetic_from_utm(zone, g[0] + (g[2] - g[0]) * j / kParts,
+                                      g[1] + (g[3] - g[1]) * i / kParts));
+  return out;
+}
+
+/// Lowest and highest of both.
+HeightRange joined(const HeightRange& a, const HeightRange& b) {
+  return {std::min(a.low, b.low), std::max(a.high, b.high)};
+}
+
+/// Heights above the ellipsoid, by the lowest and the highest place of what they are above.
+HeightRange lifted(const HeightRange& heights, const std::vector<Lifted>& by) {
+  HeightRange out{INFINITY, -INFINITY};
+  for (const auto& [zero, one] : by)
+    for (const double h : {heights.low, heights.high}) {
+      const double v = zero + h * (one - zero);
+      out = {std::min(out.low, v), std::max(out.high, v)};
+    }
+  return out;
+}
+
+/// Side of a raster's cell, about, m.
+double cell_of(const OGRSpatialReference& crs, GDALDataset& d) {
+  constexpr double kDegree = 111e3;  // m
+  std::array<double, 6> t{};
+  d.GetGeoTransform(t.data());
+  const double side = std::max(std::hypot(t[1], t[4]), std::hypot(t[2], t[5]));
+  return side * (crs.IsGeographic() ? kDegree : crs.GetLinearUnits());
+}
+
+}  // namespace
+
+/// Polygons in the zone that was asked for last.
+struct GroundMask::Polygons {
+  std::mutex mutex;
+  UtmZone zone;
+  std::optional<Area> area;
+};
+
+GroundMask::GroundMask(const fs::path& path) : path_(path) {
+  const GdalScope scope;
+  require_file(path, "a raster or polygons");
+  if (is_vector_file(path)) {
+    polygons_ = std::make_unique<Polygons>();
+    return;
+  }
+  placed_system(path, *open_raster(path));
+}
+
+GroundMask::~GroundMask() = default;
+
+Tensor GroundMask::on(const GeoGrid& grid, Index height, Index width) const {
+  Tensor out({height, width});
+  if (!polygons_) {
+    const GdalScope scope;
+    const DatasetPtr d = open_raster(path_);
+    const Tensor values =
+        first_band_on(*d, placed_system(path_, *d), grid, height, width, Sampled::nearest);
+    for (Index i = 0; i < out.count(); ++i)
+      out[i] = std::isfinite(values[i]) && values[i] != 0 ? 1.0F : 0.0F;
+    return out;
+  }
+  const UtmZone zone{grid.epsg % 100, grid.epsg / 100 == 326};
+  const std::lock_guard lock(polygons_->mutex);
+  if (!polygons_->area || polygons_->zone != zone)
+    polygons_->area = read_area(path_, zone), polygons_->zone = zone;
+  for (Index y = 0; y < height; ++y) {
+    const std::vector<double> sides =
+        polygons_->area->crossings(grid.y0 - (static_cast<double>(y) + 0.5) * grid.step);
+    std::size_t passed = 0;
+    for (Index x = 0; x < width && !sides.empty(); ++x) {
+      const double east = grid.x0 + (static_cast<double>(x) + 0.5) * grid.step;
+      while (passed < sides.size() && sides[passed] <= east) ++passed;
+      out[y * width + x] = passed % 2 != 0 ? 1.0F : 0.0F;
+    }
+  }
+  return out;
+}
+
+Terrain::Terrain(const fs::path& path) : path_(path) {
+  const GdalScope scope;
+  const DatasetPtr d = open_raster(path);
+  placed_system(path, *d);
+  const std::string unit = d->GetRasterBand(1)->GetUnitType();
+  for (const char* metre : {"", "m", "metre", "meter", "metres", "meters"})
+    if (EQUAL(unit.c_str(), metre)) return;
+  throw IoError(path.string() + ": heights in " + unit + ", expected metres");
+}
+
+TerrainHeights Terrain::over(const UtmZone& zone, const std::array<double, 4>& ground) const {
+  constexpr Index kMost = 256;  // cells a side: of the raster's in one of them the extremes count
+  const GdalScope scope;
+  const DatasetPtr d = open_raster(path_);
+  const OGRSpatialReference crs = placed_system(path_, *d);
+  const double rim = 2 * cell_of(crs, *d);  // what lies beside matters where its cells are large
+  const std::array<double, 4> all{ground[0] - rim, ground[1] - rim, ground[2] + rim,
+                                  ground[3] + rim};
+  const double side = std::max(all[2] - all[0], all[3] - all[1]);
+  const double step = std::max(side / static_cast<double>(kMost), 0.5);
+  const GeoGrid grid{zone.epsg(), all[0], all[3], step};
+  const auto cells = [&](double length) {
+    return std::max<Index>(1, static_cast<Index>(std::ceil(length / step)));
+  };
+  const Index H = cells(all[3] - all[1]), W = cells(all[2] - all[0]);
+  const Tensor low = first_band_on(*d, crs, grid, H, W, Sampled::lowest),
+               high = first_band_on(*d, crs, grid, H, W, Sampled::highest);
+  TerrainHeights out;
+  HeightRange found{INFINITY, -INFINITY};
+  double inside = 0, known = 0;
+  for (Index i = 0; i < H * W; ++i) {
+    const double x = grid.x0 + (static_cast<double>(i % W) + 0.5) * step,
+                 y = grid.y0 - (static_cast<double>(i / W) + 0.5) * step;
+    const bool counts = x > ground[0] && x < ground[2] && y > ground[1] && y < ground[3];
+    inside += counts ? 1 : 0;
+    if (!std::isfinite(low[i]) || !std::isfinite(high[i])) continue;
+    known += counts ? 1 : 0;
+    found = joined(found, {static_cast<double>(low[i]), static_cast<double>(high[i])});
+  }
+  if (!(known > 0)) return out;
+  out.covered = known / inside;
+
+  const auto metadata = metadata_of(*d, "");
+  const auto said = metadata.find("VERTICAL_DATUM");
+  const bool ellipsoid =
+      (crs.GetAxesCount() == 3 && !crs.IsCompound()) ||
+      (said != metadata.end() && said->second == datum_text(HeightDatum::ellipsoid));
+  const std::vector<std::array<double, 2>> points = spread(zone, ground);
+  if (crs.IsCompound()) {
+    const char* code = crs.GetAuthorityCode("VERT_CS");
+    if (code == nullptr)
+      throw Error("its vertical system has no EPSG code, expected one that PROJ knows");
+    out.heights = lifted(found, lifted(std::atoi(code), points));
+    return out;
+  }
+  out.heights = found;
+  if (ellipsoid) return out;
+  out.either = true;
+  try {
+    out.heights = joined(found, lifted(found, lifted(height_epsg(HeightDatum::egm96), points)));
+  } catch (const Error&) {  // without the grid the ellipsoid is all there is to go by
+  }
+  return out;
+}
+
+}  // namespace satsurf::rpc

@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/error.h"
+#include "satsurf/rpc/geoid.h"
+#include "satsurf/rpc/ground_raster.h"
+
+#include <cmath>
+#include <filesystem>
+#include <string>
+
+#include "tests/temp_folder.h"
+#include <doctest/doctest.h>
+
+using namespace satsurf;
+using namespace satsurf::rpc;
+using test::TempFolder;
+using test::write_bytes;
+
+namespace {
+
+const UtmZone kZone{17, true};
+constexpr double kEast = 500000, kNorth = 3350000;  // of the ground, m: its south-western corner
+
+/// A raster of 10 m cells over 200 m x 200 m, in the zone.
+void write_raster(const std::filesystem::path& path, float (*value)(Index row, Index column),
+                  const GeoTags& tags) {
+  Tensor values({20, 20});
+  for (Index i = 0; i < 400; ++i) values[i] = value(i / 20, i % 20);
+  write_geo_raster(path, values, {kZone.epsg(), kEast, kNorth + 200, 10}, tags);
+}
+
+/// Heights from 30 in the west to 49 in the east, with a tower of one cell.
+float slope(Index row, Index column) {
+  return row == 10 && column == 5 ? 80.0F : 30.0F + static_cast<float>(column);
+}
+
+double geoid() {
+  const auto at = geodetic_from_utm(kZone, kEast + 100, kNorth + 100);
+  return geoid_heights(HeightDatum::egm96, {at})[0];  // below the ellipsoid here
+}
+
+const std::array<double, 4> kGround{kEast + 30, kNorth + 30, kEast + 170, kNorth + 170};
+
+}  // namespace
+
+TEST_CASE("a mask is where its raster is neither zero nor nodata, in any system") {
+  const TempFolder folder("mask");
+  const GeoTags tags{.unit = "", .type = CellType::uint8, .nodata = 255, .means = false};
+  write_raster(
+      folder / "water.tif",
+      [](Index row, Index column) {
+        return row < 5 ? std::nanf("") : column >= 10 ? 9.0F : 0.0F;  // unknown in the north
+      },
+      tags);
+  const GroundMask mask(folder / "water.tif");
+  const Tensor here = mask.on({kZone.epsg(), kEast, kNorth + 200, 5}, 40, 40);
+  for (Index i = 0; i < here.count(); ++i)
+    CHECK(here[i] == (i / 40 >= 10 && i % 40 >= 20 ? 1.0F : 0.0F));
+  const Tensor beside = mask.on({kZone.epsg(), kEast + 150, kNorth + 50, 10}, 5, 20);
+  for (Index i = 0; i < beside.count(); ++i) CHECK(beside[i] == (i % 20 < 5 ? 1.0F : 0.0F));
+
+  // the same ground in the next zone
+  const auto [lon, lat] = geodetic_from_utm(kZone, kEast + 150, kNorth + 50);
+  const auto there = utm_from_geodetic({18, true}, lon, lat);
+  const Tensor other = mask.on({32618, there[0] - 2.5, there[1] + 2.5, 5}, 1, 1);
+  CHECK(other[0] == 1);
+}
+
+TEST_CASE("a mask of polygons") {
+  const TempFolder folder("mask_polygons");
+  write_bytes(folder / "lake.geojson", R"({"type":"FeatureCollection",
+"crs":{"type":"name","properties":{"name":"EPSG:32617"}},"features":[{"type":"Feature","properties":{},
+"geometry":{"type":"Polygon","coordinates":[[[500050,3350050],[500150,3350050],[500150,3350150],
+[500050,3350150],[500050,3350050]]]}}]})");
+  const GroundMask mask(folder / "lake.geojson");
+  const Tensor here = mask.on({kZone.epsg(), kEast, kNorth + 200, 10}, 20, 20);
+  for (Index i = 0; i < here.count(); ++i) {
+    const Index y = i / 20, x = i % 20;
+    CHECK(here[i] == (y >= 5 && y < 15 && x >= 5 && x < 15 ? 1.0F : 0.0F));
+  }
+}
+
+TEST_CASE("masks without a place are refused") {
+  const TempFolder folder("mask_refused");
+  write_bytes(folder / "text.txt", "none");
+  CHECK_THROWS_AS(GroundMask(folder / "text.txt"), IoError);
+  CHECK_THROWS_AS(GroundMask(folder / "missing.tif"), IoError);
+  const GeoTags tags{.unit = ""};
+  write_geo_raster(folder / "nowhere.tif", Tensor({4, 4}, 1.0F), {0, 0, 0, 1}, tags);
+  CHECK_THROWS_AS(GroundMask(folder / "nowhere.tif"), IoError);
+}
+
+TEST_CASE("a terrain's lowest and highest height, by what it says they are above") {
+  const TempFolder folder("terrain");
+  write_raster(folder / "ellipsoid.tif", slope, ellipsoidal_height("Terrain"));
+  write_raster(folder / "geoid.tif", slope, height_tags("Terrain", HeightDatum::egm96));
+  write_raster(folder / "silent.tif", slope, height_tags("Terrain", HeightDatum::none));
+  const TerrainHeights known = Terrain(folder / "ellipsoid.tif").over(kZone, kGround);
+  CHECK(known.covered == 1);
+  CHECK_FALSE(known.either);
+  CHECK(known.heights.low >= 30);
+  CHECK(known.heights.low <= 33);
+  CHECK(known.heights.high == 80);  // a tower of one cell counts
+  const TerrainHeights raised = Terrain(folder / "geoid.tif").over(kZone, kGround);
+  CHECK_FALSE(raised.either);
+  CHECK(std::abs(raised.heights.low - (known.heights.low + geoid())) < 0.02);
+  CHECK(std::abs(raised.heights.high - (80 + geoid())) < 0.02);
+  const TerrainHeights silent = Terrain(folder / "silent.tif").over(kZone, kGround);
+  CHECK(silent.either);
+  CHECK(silent.heights.low == doctest::Approx(raised.heights.low));
+  CHECK(silent.heights.high == 80);
+}
+
+TEST_CASE("a terrain says of how much ground it knows nothing") {
+  const TempFolder folder("terrain_holes");
+  write_raster(
+      folder / "half.tif", [](Index, Index column) { return column >= 10 ? std::nanf("") : 5.0F; },
+      ellipsoidal_height("Terrain"));
+  const Terrain terrain(folder / "half.tif");
+  const TerrainHeights half = terrain.over(kZone, kGround);
+  CHECK(half.covered == doctest::Approx(0.5).epsilon(0.05));
+  CHECK(half.heights == HeightRange{5, 5});
+  CHECK(terrain.over(kZone, {kEast + 1000, kNorth, kEast + 1100, kNorth + 100}).covered == 0);
+  // ground within one cell
+  CHECK(terrain.over(kZone, {kEast + 52, kNorth + 52, kEast + 53, kNorth + 53}).covered == 1);
+}
+
+TEST_CASE("terrain in feet is refused") {
+  const TempFolder folder("terrain_feet");
+  const GeoTags tags{.unit = "ft"};
+  write_raster(folder / "feet.tif", slope, tags);
+  CHECK_THROWS_WITH_AS(
+      Terrain(folder / "feet.tif"),
+      ((folder / "feet.tif").string() + ": heights in ft, expected metres").c_str(), IoError);
+}
