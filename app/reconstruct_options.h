@@ -142,7 +142,8 @@ struct ReconstructConfig {
             .automatic = "all",
             .flag = "--max-surfels"});
     v("mesh", s.mesh,
-      Field{.help = "how to make mesh.ply: of the fused heights of all views, or not at all"});
+      Field{.help = "how to make mesh.ply: of the fused heights of all views (of what is made in "
+                    "tiles, between the heights of at most a million cells), or not at all"});
     v("voxel", s.voxel,
       Field{.help = "detail of the mesh",
             .unit = "m",

@@ -145,6 +145,7 @@ Report report_of(const ReportedSurface& surface, const RunRecord& record) {
   report.dsm = made.dsm;
   report.confidence = made.confidence;
   report.sigma = made.sigma;
+  report.views = surface.views, report.ortho = surface.ortho;
   if (surface.visibility != nullptr) {
     report.views = surface.visibility->views;
     report.ortho = reconstruct::orthophoto(

@@ -21,6 +21,8 @@ struct ReportedSurface {
   const reconstruct::Visibility* visibility = nullptr;
   /// Width and height of each image where the scene has reduced copies, px.
   std::vector<std::array<Index, 2>> sizes{};
+  /// Without a visibility: how many images see a cell, and colours in [0, 1]; or empty.
+  Tensor views{}, ortho{};
 };
 
 /// What the report of a reconstruction shows, the tiles of a large one with it.

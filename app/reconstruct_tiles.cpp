@@ -12,8 +12,12 @@
 #include "satsurf/core/memory.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/version.h"
+#include "satsurf/mesh/ply.h"
+#include "satsurf/mesh/simplify.h"
+#include "satsurf/reconstruct/rendered_view.h"
 #include "satsurf/reconstruct/tile.h"
 #include "satsurf/rpc/area.h"
+#include "satsurf/scene/crop.h"
 #include "satsurf/scene/pointing_file.h"
 #include "satsurf/scene/survey.h"
 #include "satsurf/scene/terrain.h"
@@ -338,12 +342,12 @@ SurfaceFacts facts_of(const Tiling& tiling, const std::vector<TileRecord>& recor
   return facts;
 }
 
-/// What the warnings of a surface and its pictures are made of: a reduced copy.
-reconstruct::Reconstruction overview_of(const TiledSurface& made, const SurfaceFacts& facts,
+/// What the warnings of a surface and its report are made of: a reduced copy.
+reconstruct::Reconstruction overview_of(const SurfaceOverview& made, const SurfaceFacts& facts,
                                         const scene::Scene& scene) {
   reconstruct::Reconstruction out;
   out.frame = scene.frame, out.z_range = scene.frame.z_from_heights(facts.searched);
-  out.dsm = made.dsm, out.confidence = made.confidence;
+  out.dsm = made.dsm, out.confidence = made.confidence, out.sigma = made.sigma;
   out.completeness = facts.completeness, out.camera_fit_max_px = facts.camera_fit_max_px;
   return out;
 }
@@ -356,18 +360,48 @@ scene::UserScene with_whole_cameras(const scene::Survey& survey) {
   return out;
 }
 
+/// small  of which the renders are made
+/// z_range  of the surface, local m
 void write_pictures(const OutputFolder& folder, const TiledSurface& made,
-                    const scene::Scene& copies) {
+                    const SurfaceOverview& small, const scene::Scene& copies,
+                    const rpc::HeightRange& z_range, Progress& progress) {
   const rpc::GeoGrid grid = geo_grid(made.dsm, copies.frame);
   const ColourScale heights = height_scale(made.dsm.z, copies.frame.h0), sure = confidence_scale();
   write_map(folder / "height.png", height_picture(made.dsm.z), &heights, grid);
   write_map(folder / "hillshade.png", hillshade_picture(made.dsm.z, made.dsm.step), nullptr, grid);
   write_map(folder / "confidence.png", confidence_picture(made.confidence), &sure, grid);
   fs::create_directories(folder / "views");
+  double done = 0;
   for (const scene::View& view : copies.views) {
     stop_if_interrupted();
+    progress.update("pictures", done++ / static_cast<double>(copies.views.size()));
     write_png(folder / "views" / (view.name + "_source.png"), view.rgb);
+    write_png(folder / "views" / (view.name + "_render.png"),
+              reconstruct::draped_view(small.dsm, small.ortho,
+                                       scene::posed_image(view, copies.frame, z_range)));
   }
+}
+
+/// Triangles between the heights of a reduced copy, of at most two million faces: a mesh of all of a
+/// large surface neither fits into the memory nor opens in a viewer.
+/// voxel  least side of a cell, m; 0 for two of the surface's
+nlohmann::ordered_json write_mesh(const fs::path& file, const SurfaceOverview& small, double step,
+                                  double voxel, const rpc::LocalFrame& frame) {
+  constexpr Index kMost = 1000;  // cells a side
+  const auto start = Clock::now();
+  const Index side = std::max(small.dsm.z.dim(0), small.dsm.z.dim(1));
+  const double least = voxel > 0 ? voxel : 2 * step;
+  const Index block = std::max({Index{1}, (side + kMost - 1) / kMost,
+                                static_cast<Index>(std::lround(least / small.dsm.step))});
+  const double cell = small.dsm.step * static_cast<double>(block);
+  const mesh::Mesh surface =
+      mesh::mesh_from_heights(block_means(small.dsm.z, block), small.dsm.x0, small.dsm.y0, cell,
+                              block_means(small.ortho, block));
+  mesh::write_ply(file, surface, frame_comments(frame));
+  return {{"voxel", cell},
+          {"vertices", surface.vertices.size()},
+          {"faces", surface.faces.size()},
+          {"seconds", seconds_since(start)}};
 }
 
 }  // namespace
@@ -410,27 +444,32 @@ void reconstruct_tiles(ReconstructJob& job) {
   facts.seconds = seconds_since(start);
   facts.datum = datum_of(options.geoid);
   facts.crs = "EPSG:" + std::to_string(scene.frame.zone.epsg());
-  const reconstruct::Reconstruction overview = overview_of(made, facts, scene);
+  const SurfaceOverview small = overview_of_files(folder.path(), made, tiling.grid.step);
+  const reconstruct::Reconstruction overview = overview_of(small, facts, scene);
   job.warnings.add(reconstruct::surface_warnings(overview));
   if (survey.user.pointing) scene::write_pointing(folder / "pointing.json", *survey.user.pointing);
   if (job.crs)
     job.bring_rasters(
         geo_grid({{}, tiling.grid.east, tiling.grid.north, tiling.grid.step}, scene.frame), facts);
   progress.update("pictures", 0);
-  job.warnings.attempt("pictures", [&] { write_pictures(folder, made, scene); });
-  progress.note(
-      "the surface of large images is not rendered into their cameras; satsurf render "
-      "does it for one");
+  job.warnings.attempt("pictures", [&] {
+    const rpc::HeightRange z = scene.frame.z_from_heights(facts.heights);
+    write_pictures(folder, made, small, scene, z.widened(1), progress);
+  });
+  progress.update("pictures", 1);
+  stop_if_interrupted();
   if (options.mesh == MeshKind::tsdf)
-    job.warnings.add(reconstruct::Warning{
-        "mesh_left_out",
-        "no mesh: surfaces that are made in tiles have none; --mesh none says so"});
+    job.warnings.attempt("mesh", [&] {
+      facts.mesh =
+          write_mesh(folder / "mesh.ply", small, tiling.grid.step, options.voxel, scene.frame);
+    });
   job.record.results() = results_json(facts, survey.user);
   job.record.results()["tile_table"] = table_json(tiling, records, scene.frame);
   if (options.report == ReportKind::html)
     job.warnings.attempt("report", [&] {
       const scene::UserScene whole = with_whole_cameras(survey);
-      ReportedSurface surface{.made = overview, .user = whole};
+      ReportedSurface surface{
+          .made = overview, .user = whole, .views = small.views, .ortho = small.ortho};
       for (const scene::SurveyedView& view : survey.views)
         surface.sizes.push_back({view.width, view.height});
       write_report(folder / "report.html", report_of(surface, job.record));

@@ -3,8 +3,10 @@
 
 #include "satsurf/app/products.h"
 #include "satsurf/app/surface_files.h"
+#include "satsurf/core/files.h"
 #include "satsurf/reconstruct/feather.h"
 #include "satsurf/rpc/geoid.h"
+#include "satsurf/rpc/read.h"
 #include "satsurf/splat/ply.h"
 
 #include <algorithm>
@@ -95,6 +97,78 @@ rpc::GeoGrid geo_rows(const reconstruct::Grid& grid, const rpc::LocalFrame& fram
 }
 
 }  // namespace
+
+Tensor block_means(const Tensor& values, Index block) {
+  const bool planes = values.rank() == 3;
+  const Index C = planes ? values.dim(0) : 1, H = values.dim(planes ? 1 : 0),
+              W = values.dim(planes ? 2 : 1), h = (H + block - 1) / block,
+              w = (W + block - 1) / block;
+  Tensor out(planes ? Shape{C, h, w} : Shape{h, w}, kNan);
+  for (Index c = 0; c < C; ++c)
+    for (Index y = 0; y < h; ++y)
+      for (Index x = 0; x < w; ++x) {
+        double sum = 0, count = 0;
+        for (Index v = y * block; v < std::min(H, (y + 1) * block); ++v)
+          for (Index u = x * block; u < std::min(W, (x + 1) * block); ++u)
+            if (const float value = values[(c * H + v) * W + u]; std::isfinite(value))
+              sum += static_cast<double>(value), count += 1;
+        if (count > 0) out[(c * h + y) * w + x] = static_cast<float>(sum / count);
+      }
+  return out;
+}
+
+namespace {
+
+/// An orthophoto of stored values as colours: bytes as they are, wider ones between their first and
+/// 99th percentile.
+/// bytes  whether the file has bytes
+Tensor as_colours(const Tensor& values, bool bytes) {
+  const bool grey = values.rank() == 2;
+  const Index P = grey ? values.count() : values.count() / values.dim(0),
+              H = values.dim(grey ? 0 : 1), W = values.dim(grey ? 1 : 2);
+  float low = 0, high = 255;
+  if (!bytes) {
+    std::vector<float> known;
+    for (const float v : values.values())
+      if (std::isfinite(v)) known.push_back(v);
+    if (known.empty()) return Tensor({3, H, W}, kNan);
+    const auto percentile = [&](std::size_t of_hundred) {
+      const auto at = known.begin() + static_cast<std::ptrdiff_t>(known.size() * of_hundred / 100);
+      std::nth_element(known.begin(), at, known.end());
+      return *at;
+    };
+    low = percentile(1), high = std::max(percentile(99), low + 1e-6F);
+  }
+  Tensor out({3, H, W});
+  for (Index c = 0; c < 3; ++c)
+    for (Index i = 0; i < P; ++i) {
+      const float v = values[(grey ? 0 : c) * P + i];
+      out[c * P + i] = std::isfinite(v) ? std::clamp((v - low) / (high - low), 0.0F, 1.0F) : kNan;
+    }
+  return out;
+}
+
+}  // namespace
+
+SurfaceOverview overview_of_files(const fs::path& folder, const TiledSurface& made, double step) {
+  constexpr Index kMost = 2048;  // cells a side
+  const Index H = made.dsm.z.dim(0), W = made.dsm.z.dim(1);
+  const Index block = std::max<Index>(1, (std::max(H, W) + kMost - 1) / kMost);
+  SurfaceOverview out;
+  out.dsm = {block_means(made.dsm.z, block), made.dsm.x0, made.dsm.y0,
+             made.dsm.step * static_cast<double>(block)};
+  out.confidence = block_means(made.confidence, block);
+  const auto factor = static_cast<Index>(std::lround(out.dsm.step / step));
+  const auto reduced = [&](const char* name) {
+    return rpc::read_reduced_raster(folder / name, factor).values;
+  };
+  out.views = reduced("views.tif");
+  for (float& v : out.views.values()) v = std::round(v);
+  if (is_file(folder / "height_sigma.tif")) out.sigma = reduced("height_sigma.tif");
+  out.ortho =
+      as_colours(reduced("ortho.tif"), rpc::read_info(folder / "ortho.tif").dtype == "uint8");
+  return out;
+}
 
 TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
                                  const std::vector<TileRecord>& records, const TileStore& store,

@@ -21,6 +21,23 @@ struct TiledSurface {
   double mean_confidence = 0;
 };
 
+/// A copy of a tiled surface that is small enough to be shown: means of square blocks of cells, at
+/// most 2048 a side, all on one grid.
+struct SurfaceOverview {
+  scene::HeightField dsm;           ///< local z
+  Tensor confidence, sigma, views;  ///< [H W]; sigma may be empty
+  Tensor ortho;                     ///< [3 H W] in [0, 1], NaN where no image sees the cell
+};
+/// Reads it of the finished rasters.
+/// made     what is left of the surface
+/// step     cell of the rasters, m
+/// throws   IoError
+SurfaceOverview overview_of_files(const std::filesystem::path& folder, const TiledSurface& made,
+                                  double step);
+/// The means of square blocks of cells.
+/// values  [H W] or [C H W], NaN where unknown
+Tensor block_means(const Tensor& values, Index block);
+
 /// Writes dsm.tif, confidence.tif, height_sigma.tif, views.tif, ortho.tif and surfels.ply of finished
 /// tiles, row of tiles by row of tiles.
 /// records   of the tiles

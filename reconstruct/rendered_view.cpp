@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/reconstruct/rendered_view.h"
 
+#include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/splat/view.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -28,6 +30,31 @@ RenderedView rendered_view(const splat::Surfels& surfels, const nn::PosedImage& 
   for (Index p = 0; p < H * W; ++p)
     for (Index c = 0; c < 3; ++c)
       if (!(image.valid[p] > 0)) out.heights.rgb[c * H * W + p] = kNan;
+  return out;
+}
+
+Tensor draped_view(const scene::HeightField& surface, const Tensor& colours,
+                   const nn::PosedImage& image) {
+  Dims dim("draped_view");
+  dim.match("surface", surface.z, "H W").match("colours", colours, "3 H W");
+  const Index H = dim["H"], W = dim["W"], h = image.rgb.dim(1), w = image.rgb.dim(2);
+  const Tensor z = scene::heights_in_view(surface, image.local_from_pixel, h, w);
+  Tensor out({3, h, w});
+  for_each_index(h, [&](Index y) {
+    for (Index x = 0; x < w; ++x) {
+      if (!std::isfinite(z[y * w + x])) continue;
+      const auto p = image.local_from_pixel(static_cast<double>(x), static_cast<double>(y),
+                                            static_cast<double>(z[y * w + x]));
+      // a ray that ends on a wall may be a rounding beyond its cell
+      const Index v = std::clamp<Index>(
+                      static_cast<Index>(std::floor((surface.y0 - p[1]) / surface.step)), 0, H - 1),
+                  u = std::clamp<Index>(
+                      static_cast<Index>(std::floor((p[0] - surface.x0) / surface.step)), 0, W - 1);
+      for (Index c = 0; c < 3; ++c)
+        if (const float colour = colours[(c * H + v) * W + u]; std::isfinite(colour))
+          out[(c * h + y) * w + x] = colour;
+    }
+  });
   return out;
 }
 

@@ -5,10 +5,12 @@
 #include "satsurf/core/files.h"
 #include "satsurf/rpc/gdal.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <limits>
 #include <sstream>
+#include <vector>
 
 #include <ogr_spatialref.h>
 
@@ -149,6 +151,52 @@ GeoRaster read_geo_raster(const fs::path& path, const std::optional<UtmZone>& zo
   if (const auto text = out.tags.metadata.extract("TIFFTAG_SOFTWARE"))
     out.tags.software = text.mapped();
   out.tags.heights = heights_of(d->GetSpatialRef(), out.tags.metadata);
+  return out;
+}
+
+GeoRaster read_reduced_raster(const fs::path& path, Index factor) {
+  constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+  if (factor < 1)
+    throw Error("read_reduced_raster: blocks of " + std::to_string(factor) +
+                " cells, expected 1 or more");
+  const GdalScope scope;
+  const DatasetPtr d = open_raster(path);
+  GeoRaster out;
+  out.grid = grid_of(path, *d, {});
+  out.grid.step *= static_cast<double>(factor);
+  const Index H = d->GetRasterYSize(), W = d->GetRasterXSize(), C = d->GetRasterCount();
+  const Index h = (H + factor - 1) / factor, w = (W + factor - 1) / factor;
+  check_content(path, *d);
+  check_memory(path, *d,
+               4 * (static_cast<double>(C * h * w) + static_cast<double>(W * (factor + 4))));
+  out.values = Tensor(C == 1 ? Shape{h, w} : Shape{C, h, w}, kNan);
+  std::vector<float> rows(static_cast<std::size_t>(W * factor));
+  std::vector<double> sum(static_cast<std::size_t>(w)), count(static_cast<std::size_t>(w));
+  for (Index c = 0; c < C; ++c) {
+    GDALRasterBand* band = d->GetRasterBand(static_cast<int>(c) + 1);
+    int has_nodata = 0;
+    const auto nodata = static_cast<float>(band->GetNoDataValue(&has_nodata));
+    for (Index y = 0; y < h; ++y) {
+      const Index n = std::min(factor, H - y * factor);
+      if (band->RasterIO(GF_Read, 0, static_cast<int>(y * factor), static_cast<int>(W),
+                         static_cast<int>(n), rows.data(), static_cast<int>(W), static_cast<int>(n),
+                         GDT_Float32, 0, 0, nullptr) != CE_None)
+        throw IoError(path.string() + ": the values cannot be read, expected a whole file; " +
+                      gdal_error());
+      std::fill(sum.begin(), sum.end(), 0.0);
+      std::fill(count.begin(), count.end(), 0.0);
+      for (Index i = 0; i < n * W; ++i) {
+        const float v = rows[static_cast<std::size_t>(i)];
+        if ((has_nodata && v == nodata) || !std::isfinite(v)) continue;
+        const auto at = static_cast<std::size_t>(i % W / factor);
+        sum[at] += static_cast<double>(v), count[at] += 1;
+      }
+      for (Index x = 0; x < w; ++x)
+        if (const auto at = static_cast<std::size_t>(x); count[at] > 0)
+          out.values[(c * h + y) * w + x] = static_cast<float>(sum[at] / count[at]);
+    }
+  }
+  out.tags.heights = heights_of(d->GetSpatialRef(), metadata_of(*d, ""));
   return out;
 }
 

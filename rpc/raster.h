@@ -110,6 +110,12 @@ struct GeoRaster {
 GeoRaster read_geo_raster(const std::filesystem::path& path,
                           const std::optional<UtmZone>& zone = {});
 
+/// The same with the means of square blocks of cells for cells, read a row of blocks at a time: of the
+/// blocks at the eastern and southern end what there is. Unknown cells do not count.
+/// factor  side of a block, cells
+/// throws  as `read_geo_raster`; Error for a factor below 1
+GeoRaster read_reduced_raster(const std::filesystem::path& path, Index factor);
+
 /// Writes the grid of a raster without a georeference the way DFC2019 does.
 /// size    cells per side
 /// throws  IoError

@@ -261,7 +261,13 @@ tiled=("$satsurf" reconstruct large/Track3-RGB/*.tif --weights $weights --pointi
 succeeds "the plan of tiles" "${tiled[@]}" --dry-run
 holds "it tells tiles, memory and time" grep -zqE "tiles +[2-9] x [2-9].*memory +about .*time +about " stdout
 succeeds "in tiles" "${tiled[@]}" --out tiles
-holds "it says that there is no mesh" grep -q '"mesh_left_out"' tiles/run.json
+holds "with a mesh" grep -qE "^mesh +[0-9]+ faces, voxels of" stdout
+holds "and pictures of every image and its render" test "$(ls tiles/views/*_source.png tiles/views/*_render.png | wc -l)" -eq 4
+holds "the report has the orthophoto and how many images see the cells" bash -c 'grep -q "Orthophoto" tiles/report.html && grep -q "see" tiles/report.html'
+succeeds "a coarser mesh of tiles" "${tiled[@]}" --out coarser --voxel 4 --report none
+holds "is smaller" test "$(stat -c %s coarser/mesh.ply)" -lt "$(stat -c %s tiles/mesh.ply)"
+holds "and all else is the same" diff -r -x run.json -x report.html -x mesh.ply tiles coarser
+rm -rf coarser
 setsid "${tiled[@]}" --out killed >stdout 2>stderr &
 job=$!
 for _ in $(seq 1200); do

@@ -2,6 +2,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/reconstruct/ortho.h"
+#include "satsurf/reconstruct/rendered_view.h"
 
 #include <algorithm>
 #include <cmath>
@@ -104,6 +105,29 @@ TEST_CASE("an orthophoto takes each cell from the pixel that shows it") {
   set_threads(before);
   for (Index i = 0; i < ortho.count(); ++i)
     REQUIRE((again[i] == ortho[i] || (std::isnan(again[i]) && std::isnan(ortho[i]))));
+}
+
+TEST_CASE("a draped view shows each cell where the camera sees it") {
+  const scene::HeightField field = box_on_plane();
+  Tensor colours({3, kSide, kSide}, 0.25F);
+  for (Index i = kFirst; i < kLast; ++i)
+    for (Index j = kFirst; j < kLast; ++j) colours[i * kSide + j] = 0.75F;  // the box is red
+  for (const double west : {0.0, 0.5}) {
+    CAPTURE(west);
+    const nn::PosedImage camera = looking(west);
+    const Tensor view = draped_view(field, colours, camera);
+    REQUIRE(view.shape() == Shape{3, kPixels, kPixels});
+    const auto at = [&](double x, double y, double z, Index channel) {
+      const auto p = camera.pixel_from_local(x, y, z);
+      return view[(channel * kPixels + std::lround(p[1])) * kPixels + std::lround(p[0])];
+    };
+    CHECK(at(0, 0, 4, 0) == 0.75F);  // the middle of its roof
+    CHECK(at(0, 0, 4, 1) == 0.25F);
+    CHECK(at(-10, 5, 0, 0) == 0.25F);   // the plane
+    CHECK(at(-16.5, 17.5, 0, 0) == 0);  // the hole
+    CHECK(at(-30, 0, 0, 0) == 0);       // beside it all
+  }
+  CHECK_THROWS_AS(draped_view(field, Tensor({3, 4, 4}), looking(0)), ShapeError);
 }
 
 TEST_CASE("pixels that are not valid show nothing") {

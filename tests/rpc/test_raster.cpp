@@ -49,6 +49,24 @@ void plain_tiff(const std::filesystem::path& path, std::array<double, 6> transfo
 
 }  // namespace
 
+TEST_CASE("a reduced raster has the means of blocks, and of the last ones what there is") {
+  const test::TempFolder folder("reduced");
+  Tensor values({5, 7});
+  for (Index i = 0; i < 35; ++i) values[i] = static_cast<float>(i);
+  values[0] = std::nanf("");
+  for (const Index i : {4, 5, 11, 12}) values[i] = std::nanf("");  // all of a block
+  write_geo_raster(folder / "a.tif", values, {32631, 500000, 4000000, 2});
+  const GeoRaster small = read_reduced_raster(folder / "a.tif", 2);
+  REQUIRE(small.values.shape() == Shape{3, 4});
+  CHECK(small.grid == GeoGrid{32631, 500000, 4000000, 4});
+  CHECK(small.values[0] == doctest::Approx((1 + 7 + 8) / 3.0));
+  CHECK(std::isnan(small.values[2]));
+  CHECK(small.values[3] == doctest::Approx((6 + 13) / 2.0));
+  CHECK(small.values[11] == 34);
+  CHECK(read_reduced_raster(folder / "a.tif", 1).values[34] == 34);
+  CHECK_THROWS_AS(read_reduced_raster(folder / "a.tif", 0), Error);
+}
+
 TEST_CASE("a DSM survives the round trip with system, nodata, unit and datum") {
   const test::TempFolder scratch("raster");
   Tensor z = heights({37, 301}, 1);  // more than one tile wide, ragged
