@@ -31,7 +31,9 @@ bool needs_tiles(const ReconstructJob& job) {
          largest >
              reconstruct::window_for_memory(
                  job.networks.model.config(),
-                 {std::min(static_cast<Index>(options.images.size()), options.max_views), largest},
+                 {std::min(static_cast<Index>(options.images.size()), options.max_views), largest,
+                  std::min(static_cast<Index>(options.images.size()),
+                           std::max(options.max_views, scene::kMostSurveyed))},
                  reconstruct::surface_kind(job.how({})),
                  memory_from_text(options.max_memory, "max_memory"));
 }

@@ -93,8 +93,9 @@ struct ReconstructConfig {
     v("weights", s.weights,
       Field{.help = "network weights", .automatic = "the shipped ones, or SATSURF_WEIGHTS"});
     v("max_views", s.max_views,
-      Field{.help = "most images that are used; of more, those that go best together by their "
-                    "common ground, parallax, suns and dates",
+      Field{.help = "most images that are used for one place; of more, those that go best together "
+                    "by their common ground, parallax, suns and dates: of all the ground, or of "
+                    "each tile of large images, which may have 16 between them",
             .min = 2,
             .max = 16,
             .flag = "--max-views"});
@@ -287,7 +288,7 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
        "only of large images and parts of the ground: of each tile row, column, ground (least "
        "easting, least northing, largest easting, largest northing), status (done, empty: fewer "
        "than two images see it, failed), seconds, completeness, and of those done "
-       "height_range_searched, window (px) and surfels; of those failed error"},
+       "height_range_searched, window (px), surfels and images (names); of those failed error"},
       {"mesh", "voxel (m), vertices, faces, seconds; null without one"},
       {"reconstruct_seconds", "how long the surface took without reading and writing"}};
 }

@@ -108,10 +108,21 @@ void add_pointing(const scene::Pointing& pointing, Report& report) {
   }
 }
 
+/// The numbers of some images on the page.
+std::string images_text(const std::vector<std::string>& some,
+                        const std::vector<std::string>& names) {
+  std::string out;
+  for (const std::string& name : some)
+    out += (out.empty() ? "" : ", ") +
+           std::to_string(std::ranges::find(names, name) - names.begin() + 1);
+  return out;
+}
+
 /// The tiles of the record.
-ReportTable tiles_of(const nlohmann::ordered_json& tiles) {
+/// names  of all images, in the order of their numbers on the page
+ReportTable tiles_of(const nlohmann::ordered_json& tiles, const std::vector<std::string>& names) {
   ReportTable table;
-  table.head = {"Row", "Column", "Status", "With a height", "Searched", "Window", "Time"};
+  table.head = {"Row", "Column", "Status", "With a height", "Searched", "Window", "Images", "Time"};
   for (const auto& tile : tiles) {
     const bool done = tile.contains("window");
     table.rows.push_back(
@@ -122,6 +133,7 @@ ReportTable tiles_of(const nlohmann::ordered_json& tiles) {
                             tile["height_range_searched"][1].get<double>())
               : "",
          done ? fmt::format("{} px", tile["window"].get<Index>()) : "",
+         done ? images_text(tile["images"].get<std::vector<std::string>>(), names) : "",
          fmt::format("{:.1f} s", tile["seconds"].get<double>())});
   }
   return table;
@@ -160,6 +172,8 @@ Report report_of(const ReportedSurface& surface, const RunRecord& record) {
         view, surface.sizes.empty() ? std::array{view.width(), view.height()} : surface.sizes[i],
         made.frame.zone, middle));
   }
+  std::vector<std::string> names;
+  for (const scene::View& view : scene.views) names.push_back(view.name);
   for (const scene::LeftOut& left : user.left_out)
     report.left_out.emplace_back(left.label, left.why);
   if (user.pointing)
@@ -170,7 +184,7 @@ Report report_of(const ReportedSurface& surface, const RunRecord& record) {
     report.warnings.push_back(
         {warning["code"].get<std::string>(), warning["text"].get<std::string>()});
   if (json["results"].contains("tile_table"))
-    report.tiles = tiles_of(json["results"]["tile_table"]);
+    report.tiles = tiles_of(json["results"]["tile_table"], names);
   report.files.head = {"File", "Bytes", "SHA-256"};
   for (const auto& input : json["inputs"])
     report.files.rows.push_back({input["path"].get<std::string>(),

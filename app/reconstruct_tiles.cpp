@@ -101,8 +101,8 @@ void print_plan(const Tiling& tiling, const scene::Survey& survey, const Reconst
   print_plan_ground(survey.user, tiling.grid.ground(), job.crs);
   std::printf("surface       %td x %td cells of %g m\n", tiling.grid.width, tiling.grid.height,
               tiling.grid.step);
-  std::printf("tiles         %td x %td, each with windows of at most %td x %td px of %zu images\n",
-              tiling.columns, tiling.rows, tiling.window, tiling.window, survey.views.size());
+  std::printf("tiles         %td x %td, each with windows of at most %td x %td px of %td images\n",
+              tiling.columns, tiling.rows, tiling.window, tiling.window, tiling.views);
   std::printf("memory        about %s; %s are free\n", memory_text(tiling.memory_bytes).c_str(),
               memory_text(static_cast<double>(available_memory())).c_str());
   std::printf(
@@ -251,6 +251,7 @@ class TileMaker {
     }
     if (!surface->empty) {
       record.status = "done";
+      for (const scene::View& view : part.scene.views) record.views.push_back(view.name);
       record.found = surface->found, record.expected = surface->expected;
       record.window = surface->window, record.z_range = surface->z_range;
       record.camera_fit_max_px = surface->camera_fit_max_px;
@@ -310,7 +311,7 @@ nlohmann::ordered_json table_json(const Tiling& tiling, const std::vector<TileRe
     if (r.status == "done") {
       const rpc::HeightRange heights = frame.heights_from_z(r.z_range);
       row["height_range_searched"] = {heights.low, heights.high};
-      row["window"] = r.window, row["surfels"] = r.surfels;
+      row["window"] = r.window, row["surfels"] = r.surfels, row["images"] = r.views;
     }
     if (!r.error.empty()) row["error"] = r.error;
     table.push_back(std::move(row));

@@ -8,10 +8,12 @@
 #include "satsurf/core/safetensors.h"
 #include "satsurf/splat/ply.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <string>
 #include <string_view>
 #include <system_error>
+#include <vector>
 
 #include <fcntl.h>
 #include <fmt/format.h>
@@ -75,6 +77,13 @@ class Record {
     const nlohmann::json& value = at(key);
     if (!value.is_array() || value.size() != 2) refuse(key, value, "two numbers");
     return {number(key, value[0]), number(key, value[1])};
+  }
+  std::vector<std::string> texts(const char* key) const {
+    const nlohmann::json& value = at(key);
+    if (!value.is_array() || !std::all_of(value.begin(), value.end(),
+                                          [](const nlohmann::json& v) { return v.is_string(); }))
+      refuse(key, value, "texts");
+    return value.get<std::vector<std::string>>();
   }
   [[noreturn]] void refuse(const char* key, const nlohmann::json& came, const char* wanted) const {
     throw IoError(file_ + ": " + key + " is " + came.dump().substr(0, 200) + ", expected " +
@@ -170,6 +179,7 @@ std::optional<TileRecord> TileStore::find(const reconstruct::Tile& tile) const {
   out.window = record.count("window"), out.surfels = record.count("surfels");
   out.z_range = record.range("z_range");
   out.camera_fit_max_px = record.number("camera_fit_max_px");
+  out.views = record.texts("views");
   return out;
 }
 
@@ -192,7 +202,8 @@ void TileStore::save(const reconstruct::Tile& tile, const TileRecord& record,
                          {"window", record.window},
                          {"surfels", record.surfels},
                          {"z_range", {record.z_range.low, record.z_range.high}},
-                         {"camera_fit_max_px", record.camera_fit_max_px}};
+                         {"camera_fit_max_px", record.camera_fit_max_px},
+                         {"views", record.views}};
   atomic_write(folder_ / (file_of(tile).stem().string() + ".json"), j.dump() + '\n');
 }
 

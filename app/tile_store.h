@@ -19,7 +19,8 @@ struct TileRecord {
   Index found = 0, expected = 0, window = 0, surfels = 0;
   rpc::HeightRange z_range;  ///< that was searched, local m
   double camera_fit_max_px = 0;
-  std::string error;  ///< of a failed one
+  std::vector<std::string> views;  ///< names of the images that it is made of
+  std::string error;               ///< of a failed one
 };
 
 /// The finished tiles of a run, in a folder beside its output, OUT.tiles: it outlives a run that was

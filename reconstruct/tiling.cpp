@@ -26,10 +26,11 @@ double memory_around(const ImageSizes& images, Index window) {
   constexpr double kAhead = 40;                   // bytes a pixel
   const auto square = [](double side) { return side * side; };
   const double views = static_cast<double>(images.views),
+               surveyed = static_cast<double>(std::max(images.views, images.surveyed)),
                side = static_cast<double>(images.largest);
-  return std::min(kBlocks, views * kStored * square(side)) +
-         views * (kCopied * square(std::min(side, kCopy)) +
-                  kAhead * square(static_cast<double>(window)));
+  return std::min(kBlocks, surveyed * kStored * square(side)) +
+         surveyed * kCopied * square(std::min(side, kCopy)) +
+         views * kAhead * square(static_cast<double>(window));
 }
 
 double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images, Index window,
@@ -103,6 +104,7 @@ double pixels_of(const scene::Survey& survey, const Tiling& tiling, const Tile& 
                                 std::abs(row[2]) * z_span);
   }
   if (views < 2) return 0;
+  views = std::min(views, tiling.views);
   const double most = static_cast<double>(tiling.window), of = static_cast<double>(multiple);
   side = std::min(most, std::ceil((side + kSlack) / of) * of);
   return static_cast<double>(views) * side * side;
@@ -136,7 +138,7 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
                   const ReconstructOptions& options, const std::optional<Ground>& wanted,
                   double max_memory) {
   const scene::Scene& scene = survey.user.scene;
-  const auto views = static_cast<Index>(survey.views.size());
+  const auto surveyed = static_cast<Index>(survey.views.size());
   const Surface surface = surface_kind(options);
   Ground ground = common_ground(scene);
   if (wanted) ground = common(ground, *wanted);
@@ -150,13 +152,14 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
   double footprint = 0;
   for (const scene::SurveyedView& view : survey.views) {
     cameras.push_back(rpc::pixel_jacobian(view.rpc, scene.frame, middle));
-    footprint += rpc::view_geometry(cameras.back()).footprint / static_cast<double>(views);
+    footprint += rpc::view_geometry(cameras.back()).footprint / static_cast<double>(surveyed);
   }
   Tiling out;
+  out.views = std::min(surveyed, survey.most_views);
   out.grid = grid_of(ground, scene.frame,
                      options.resolution > 0 ? options.resolution : natural_step(footprint));
   out.overlap = kOverlap;
-  ImageSizes images{.views = views};
+  ImageSizes images{.views = out.views, .surveyed = surveyed};
   for (const scene::SurveyedView& view : survey.views)
     images.largest = std::max({images.largest, view.width, view.height});
   out.window = window_for_memory(model, images, surface, max_memory);

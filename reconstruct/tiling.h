@@ -30,6 +30,7 @@ struct Tiling {
   Index rows = 1, columns = 1;
   Index overlap = 0;        ///< cells by which a tile reaches beyond its core
   Index window = 0;         ///< largest side of what the network sees of a view, px
+  Index views = 0;          ///< most that it sees of one tile
   std::vector<Tile> tiles;  ///< row by row from the north-west
   double memory_bytes = 0;  ///< of the whole program, within a tenth
   double megapixels = 0;    ///< that the network will see, of all views and tiles together
@@ -40,8 +41,9 @@ struct Tiling {
 
 /// Images, as far as memory depends on them.
 struct ImageSizes {
-  Index views = 0;
-  Index largest = 0;  ///< longest side, px
+  Index views = 0;     ///< of one part of the ground
+  Index largest = 0;   ///< longest side, px
+  Index surveyed = 0;  ///< of all the ground, whose copies are kept; 0 for no more
 };
 /// Largest window that fits into the memory, up to `kWholeImage` px.
 /// bytes  of the whole program, 0 for any

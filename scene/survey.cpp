@@ -235,7 +235,10 @@ Survey survey_views(const std::vector<fs::path>& files, const std::vector<fs::pa
   }
   out.factor = std::max<Index>(1, (largest + kCopy - 1) / kCopy);
   const bool whole = out.factor == 1;
+  out.most_views = rules.most_views;
   ViewRules of_copies = rules;
+  of_copies.most_views = std::max(kMostSurveyed, rules.most_views);
+  of_copies.together = Together::connected;
   if (!whole) of_copies.pointing = {.measure = false};
   ViewList list(of_copies);
   std::vector<rpc::Image> copies = reduced_copies(out, poll);
@@ -272,12 +275,37 @@ std::optional<rpc::PixelWindow> window_of(const SurveyedView& view, const rpc::L
   return inside(view, x0 - kRim, y0 - kRim, x1 + kRim, y1 + kRim);
 }
 
+std::vector<std::size_t> views_of(const Survey& survey, const Ground& ground,
+                                  const rpc::HeightRange& z_range) {
+  constexpr int kTried = 16;  // a side
+  const Scene& whole = survey.user.scene;
+  std::vector<std::size_t> showing;
+  for (std::size_t i = 0; i < survey.views.size(); ++i)
+    if (window_of(survey.views[i], whole.frame, ground, z_range)) showing.push_back(i);
+  if (showing.size() <= static_cast<std::size_t>(survey.most_views)) return showing;
+  std::vector<View> views;
+  std::vector<std::vector<char>> shows;
+  for (const std::size_t i : showing) {
+    views.push_back(whole.views[i]);  // shares the copy's pixels
+    auto& points = shows.emplace_back();
+    for (int k = 0; k < kTried * kTried; ++k)
+      points.push_back(static_cast<char>(whole.views[i].shows(whole.frame.geodetic_from_local(
+          {ground.x0 + (k % kTried + 0.5) / kTried * ground.width(),
+           ground.y0 + (k / kTried + 0.5) / kTried * ground.height(), z_range.middle()}))));
+  }
+  std::vector<std::size_t> out;
+  for (const Index k :
+       choose_for_ground(views, shows, z_range.middle() + whole.frame.h0, survey.most_views))
+    out.push_back(showing[static_cast<std::size_t>(k)]);
+  return out;
+}
+
 WindowedScene read_windows(const Survey& survey, const Ground& ground,
                            const rpc::HeightRange& z_range) {
   const Scene& whole = survey.user.scene;
   WindowedScene out;
   out.scene.name = whole.name, out.scene.frame = whole.frame, out.scene.z_range = z_range;
-  for (std::size_t i = 0; i < survey.views.size(); ++i) {
+  for (const std::size_t i : views_of(survey, ground, z_range)) {
     const SurveyedView& view = survey.views[i];
     const auto window = window_of(view, whole.frame, ground, z_range);
     if (!window) continue;

@@ -29,12 +29,15 @@ struct Survey {
   Index factor = 1;                 ///< by which the copies are smaller, for all views
   std::vector<double> nodata;       ///< values that say nothing
   bool colour = false;              ///< whether any image has three bands
+  Index most_views = kMostViews;    ///< of a part of the ground
 };
 
 /// Reads of every image a copy of at most 2048 px a side and makes of these what
 /// `scene_from_views` makes of whole images: borders, stretch, overlaps, frame and height range. The
 /// cameras' pointing is measured where pixels are whole, in up to nine windows of 1536 px spread
 /// over the common ground; in the images themselves where these are no larger than the copies.
+/// rules   their most views are those of a part of the ground; of all together there are at most
+///         `kMostSurveyed`, each of which sees ground of another
 /// throws  as `scene_from_views`
 Survey survey_views(const std::vector<std::filesystem::path>& files,
                     const std::vector<std::filesystem::path>& image_dirs,
@@ -55,7 +58,12 @@ struct WindowedScene {
   /// that became colours.
   std::vector<Tensor> values;
 };
-/// Reads it. Views whose window has no valid pixel are left out, so there may be none.
+/// The views of a part of the ground: those that show something of it where there are no more than
+/// the survey's most, else the best of them by `choose_for_ground`.
+/// returns  their numbers, ascending
+std::vector<std::size_t> views_of(const Survey& survey, const Ground& ground,
+                                  const rpc::HeightRange& z_range);
+/// Reads it. Views that are none of `views_of`, or whose window has no valid pixel are left out, so there may be none.
 /// throws  IoError
 WindowedScene read_windows(const Survey& survey, const Ground& ground,
                            const rpc::HeightRange& z_range);

@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <exception>
 #include <utility>
 
 namespace satsurf::scene {
@@ -209,6 +210,40 @@ std::function<bool(double, double)> under_mask(const rpc::GroundMask& mask, cons
   };
 }
 
+/// The heights that comparing the images finds. The first view is compared with the others that see
+/// its ground, and so is every further one that sees hardly any ground of those before it.
+/// ground  of each view
+rpc::HeightRange range_of_all(const Scene& scene, const std::vector<Polygon>& ground,
+                              const rpc::HeightRange& searched, const std::function<void()>& poll,
+                              const std::function<bool(double, double)>& unwanted) {
+  constexpr double kSeen = 0.5;  // of a view's ground that another one speaks for
+  std::optional<rpc::HeightRange> all;
+  std::exception_ptr trouble;
+  std::vector<std::size_t> compared;
+  for (std::size_t i = 0; i < ground.size(); ++i) {
+    const auto shared = [&](std::size_t j) {
+      const Polygon both = intersect(ground[i], ground[j]);
+      return both.empty() ? 0 : polygon_area(both) / polygon_area(ground[i]);
+    };
+    if (std::ranges::any_of(compared, [&](std::size_t j) { return shared(j) >= kSeen; })) continue;
+    compared.push_back(i);
+    Scene part;
+    part.frame = scene.frame;
+    part.views.push_back(scene.views[i]);
+    for (std::size_t j = 0; j < ground.size(); ++j)
+      if (j != i && shared(j) > 0) part.views.push_back(scene.views[j]);
+    try {
+      const rpc::HeightRange found = find_height_range(part, searched, poll, unwanted);
+      all = all ? rpc::HeightRange{std::min(all->low, found.low), std::max(all->high, found.high)}
+                : found;
+    } catch (const Error&) {  // water, say; the others may see more
+      if (!trouble) trouble = std::current_exception();
+    }
+  }
+  if (!all) std::rethrow_exception(trouble);
+  return *all;
+}
+
 /// Where a view is put on the ground: the middle of the range; of its own heights without one.
 double height_of(const View& view, const std::optional<rpc::HeightRange>& range) {
   return range && range->has_span() ? range->middle() : view.rpc.height_off;
@@ -217,10 +252,10 @@ double height_of(const View& view, const std::optional<rpc::HeightRange>& range)
 /// Of many views those that are used; all of two, about which `check_overlaps` has the better words.
 /// left_out  takes the others
 std::vector<View> chosen(std::vector<View> views, const std::optional<rpc::HeightRange>& range,
-                         Index most, std::vector<LeftOut>& left_out) {
+                         Index most, Together together, std::vector<LeftOut>& left_out) {
   if (views.size() <= 2) return views;
   ViewChoice choice = choose_views(
-      views, [&](const View& v) { return height_of(v, range); }, most);
+      views, [&](const View& v) { return height_of(v, range); }, most, together);
   if (choice.kept.empty()) return views;
   std::vector<View> kept;
   for (const Index i : choice.kept) kept.push_back(std::move(views[static_cast<std::size_t>(i)]));
@@ -281,10 +316,11 @@ std::vector<Polygon> footprints(const std::vector<View>& views, const rpc::UtmZo
 /// throws Error, ConfigError for a pair without common ground or parallax
 void check_overlaps(const std::vector<View>& views, const std::vector<Polygon>& ground,
                     const rpc::UtmZone& zone, const rpc::HeightRange& range,
-                    const std::optional<rpc::HeightRange>& wanted) {
+                    const std::optional<rpc::HeightRange>& wanted, Together together) {
   for (std::size_t i = 0; i < views.size(); ++i)
     for (std::size_t j = i + 1; j < views.size(); ++j) {
       const Polygon both = intersect(ground[i], ground[j]);
+      if (both.empty() && together == Together::connected && views.size() > 2) continue;
       if (both.empty()) refuse_apart(views[i], views[j], ground[i], ground[j], zone, wanted);
       check_parallax(views[i], views[j], zone, polygon_centroid(both), height_of(views[i], range));
     }
@@ -329,8 +365,8 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
     throw Error(views_[0].label() + " is the only image, expected two or more");
   UserScene out;
   Scene& scene = out.scene;
-  scene.views =
-      chosen(std::move(views_), wanted ? wanted : named_, rules_.most_views, out.left_out);
+  scene.views = chosen(std::move(views_), wanted ? wanted : named_, rules_.most_views,
+                       rules_.together, out.left_out);
   out.range = choose_range(wanted, named_, scene.views);
   const RangeChoice known = out.range;  // without the terrain
   const rpc::Geodetic centre = centre_of(scene.views[0], known.height_range);
@@ -339,7 +375,7 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
     out.range = choice_by_terrain(*rules_.terrain, known, scene.views, scene.frame.zone);
   const rpc::HeightRange first = out.range.height_range;  // before images have been compared
   const std::vector<Polygon> ground = footprints(scene.views, scene.frame.zone, first);
-  check_overlaps(scene.views, ground, scene.frame.zone, first, wanted);
+  check_overlaps(scene.views, ground, scene.frame.zone, first, wanted, rules_.together);
   Polygon common = ground[0];
   for (const Polygon& g : ground) common = intersect(common, g);
   const auto origin = polygon_centroid(common.empty() ? ground[0] : common);
@@ -373,9 +409,9 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
   if (out.range.source == kCameraRange) {
     const rpc::HeightRange searched = out.range.height_range;
     const rpc::HeightRange found =
-        find_height_range(scene, scene.frame.z_from_heights(searched), poll,
-                          rules_.mask ? under_mask(*rules_.mask, scene, searched)
-                                      : std::function<bool(double, double)>{});
+        range_of_all(scene, ground, scene.frame.z_from_heights(searched), poll,
+                     rules_.mask ? under_mask(*rules_.mask, scene, searched)
+                                 : std::function<bool(double, double)>{});
     out.range = {scene.frame.heights_from_z(found), "found by comparing the images",
                  out.range.trouble};
     scene.frame.h0 = std::round(out.range.height_range.middle());

@@ -45,11 +45,17 @@ struct UserScene {
 /// time grows with the square of their number.
 inline constexpr Index kMostViews = 5;
 
+/// Views of a scene whose parts have their own, at most: each is kept as a copy, and every two that
+/// overlap are compared for the pointing.
+inline constexpr Index kMostSurveyed = 16;
+
 /// What is made of images before anything is searched in them.
 struct ViewRules {
   ValidityRules validity{};       ///< what of every image does not count
   PointingChoice pointing{};      ///< whether cameras are measured and shifted
   Index most_views = kMostViews;  ///< that the scene is made of; the best, see `choose_views`
+  /// Whether all views are looked at at once, or each part of the ground has its own.
+  Together together = Together::all;
   /// Ground whose heights do not count when the range is searched for; none for all ground.
   std::shared_ptr<const rpc::GroundMask> mask{};
   /// That says the range of heights, see `terrain_range`; none for no such model.

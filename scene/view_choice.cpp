@@ -35,11 +35,13 @@ class Pairs {
   std::vector<double> quality_;
 };
 
-/// Mean quality of a view with those that were taken; 0 where it does not go with one of them.
-double goes_with(const Pairs& pairs, std::size_t view, const std::vector<std::size_t>& taken) {
+/// Mean quality of a view with those that were taken; 0 where it does not go with them.
+double goes_with(const Pairs& pairs, std::size_t view, const std::vector<std::size_t>& taken,
+                 Together together) {
   double sum = 0;
   for (const std::size_t other : taken) {
-    if (!(pairs.quality(view, other) > 0)) return 0;
+    const bool apart = together == Together::connected && pairs.pair(view, other).share <= 0;
+    if (!(pairs.quality(view, other) > 0) && !apart) return 0;
     sum += pairs.quality(view, other);
   }
   return sum / static_cast<double>(taken.size());
@@ -56,11 +58,14 @@ std::vector<std::size_t> best_pair(const Pairs& pairs) {
 }
 
 std::string why_left(const Pairs& pairs, const std::vector<View>& views, std::size_t view,
-                     const std::vector<std::size_t>& taken) {
+                     const std::vector<std::size_t>& taken, Together together) {
+  const bool alone = std::ranges::all_of(
+      taken, [&](std::size_t other) { return pairs.pair(view, other).share <= 0; });
   for (const std::size_t other : taken) {
     const ViewPair& pair = pairs.pair(view, other);
-    if (pair.share <= 0) return "shares no ground with " + views[other].label();
-    if (pair.parallax < kLeastParallax)
+    if (pair.share <= 0 && (together == Together::all || alone))
+      return "shares no ground with " + views[other].label();
+    if (pair.share > 0 && pair.parallax < kLeastParallax)
       return "seen from the same direction as " + views[other].label();
   }
   return "others go better together";
@@ -79,7 +84,8 @@ double pair_quality(const ViewPair& pair) {
 }
 
 ViewChoice choose_views(const std::vector<View>& views,
-                        const std::function<double(const View&)>& height_of, Index most) {
+                        const std::function<double(const View&)>& height_of, Index most,
+                        Together together) {
   const Pairs pairs(views, height_of);
   std::vector<std::size_t> taken = best_pair(pairs);
   ViewChoice out;
@@ -89,7 +95,8 @@ ViewChoice choose_views(const std::vector<View>& views,
     std::size_t best = 0;
     for (std::size_t view = 0; view < views.size(); ++view) {
       if (std::ranges::count(taken, view) > 0) continue;
-      if (const double q = goes_with(pairs, view, taken); q > highest) highest = q, best = view;
+      if (const double q = goes_with(pairs, view, taken, together); q > highest)
+        highest = q, best = view;
     }
     if (highest <= 0) break;
     taken.push_back(best);
@@ -99,7 +106,62 @@ ViewChoice choose_views(const std::vector<View>& views,
     if (std::ranges::count(taken, view) > 0)
       out.kept.push_back(static_cast<Index>(view));
     else
-      out.left_out.push_back({views[view].label(), why_left(pairs, views, view, taken)});
+      out.left_out.push_back({views[view].label(), why_left(pairs, views, view, taken, together)});
+  return out;
+}
+
+std::vector<Index> choose_for_ground(const std::vector<View>& views,
+                                     const std::vector<std::vector<char>>& shows, double height,
+                                     Index most) {
+  constexpr double kHalf = 0.25;  // quality of pairs that makes half of what a point can be worth
+  const Pairs pairs(views, [&](const View&) { return height; });
+  const std::size_t n = views.size(), P = shows.empty() ? 0 : shows[0].size();
+  // What a pair is worth where both see the ground, whatever else they see.
+  const auto worth = [&](std::size_t i, std::size_t j) {
+    const double share = pairs.pair(i, j).share;
+    return share > 0 ? pairs.quality(i, j) / share : 0;
+  };
+  const auto of_pairs = [&](const std::vector<std::size_t>& some) {
+    std::vector<double> sum(P, 0.0);
+    for (std::size_t a = 0; a < some.size(); ++a)
+      for (std::size_t b = a + 1; b < some.size(); ++b)
+        for (std::size_t p = 0; p < P; ++p)
+          if (shows[some[a]][p] && shows[some[b]][p]) sum[p] += worth(some[a], some[b]);
+    double out = 0;
+    for (const double q : sum) out += q / (q + kHalf);
+    return out;
+  };
+  std::vector<std::size_t> taken;
+  const auto free = [&](std::size_t view) {
+    return std::ranges::none_of(taken, [&](std::size_t other) {
+      const ViewPair& pair = pairs.pair(view, other);
+      return view == other || (pair.share > 0 && pair.parallax < kLeastParallax);
+    });
+  };
+  // One view more, or two: ground that nothing has been taken of yet needs two at once.
+  for (;;) {
+    const double now = of_pairs(taken);
+    double highest = 0;
+    std::vector<std::size_t> best;
+    const auto try_with = [&](const std::vector<std::size_t>& more) {
+      if (taken.size() + more.size() > static_cast<std::size_t>(most)) return;
+      std::vector<std::size_t> with = taken;
+      with.insert(with.end(), more.begin(), more.end());
+      const double gain = (of_pairs(with) - now) / static_cast<double>(more.size());
+      if (gain > highest + 1e-9) highest = gain, best = more;
+    };
+    for (std::size_t i = 0; i < n; ++i) {
+      if (!free(i)) continue;
+      try_with({i});
+      for (std::size_t j = i + 1; j < n; ++j)
+        if (free(j) && worth(i, j) > 0) try_with({i, j});
+    }
+    if (best.empty()) break;
+    taken.insert(taken.end(), best.begin(), best.end());
+  }
+  std::ranges::sort(taken);
+  std::vector<Index> out;
+  for (const std::size_t view : taken) out.push_back(static_cast<Index>(view));
   return out;
 }
 

@@ -232,6 +232,12 @@ refuses "an area that is none" 1 "area.txt: not a vector file" "$satsurf" recons
 refuses "no size of memory" 2 "max_memory: .much., expected a size" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --max-memory much --quiet
 refuses "too little memory" 2 "max_memory: 1 MB, expected .* or more for 3 images" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --max-memory 1MB --quiet
 
+# Of four images each tile has the best two.
+succeeds "tiles of the best two" "$satsurf" reconstruct data/Track3-RGB/SIM_001_00{1,2,3,4}_RGB.tif --out best --weights $weights --max-views 2 --bbox="$(awk -v x="$lon" -v y="$lat" 'BEGIN { printf "%.4f,%.4f,%.4f,%.4f", x - 0.01, y - 0.01, x + 0.01, y + 0.01 }')" --mesh none --quiet
+holds "the record has their names" bash -c "tr -d '\\n ' <best/run.json | grep -qE '\"images\":\\[\"SIM_001_00._RGB\",\"SIM_001_00._RGB\"\\]'"
+holds "and knows of all four" test "$(grep -c '"name": "SIM_001_00._RGB"' best/run.json)" -eq 4
+rm -rf best
+
 # Ground that is not wanted, and terrain that says the heights.
 succeeds "a mask of polygons" "$satsurf" reconstruct "${images[@]}" --out masked --weights $weights --mask area.geojson --quiet
 holds "it is an input of the record" grep -qE '"path": "(.*/)?area.geojson"' masked/run.json

@@ -175,6 +175,24 @@ TEST_CASE("more memory never means smaller windows, and too little is refused") 
   CHECK_THROWS_AS(window_for_memory(model, {3, 12000}, Surface::refined, 1e8), ConfigError);
 }
 
+TEST_CASE("every tile has the best of the images that see it") {
+  const Files files(200, 4);
+  const scene::Survey all = scene::survey_views(files.images, {}, files.range, {},
+                                                {.pointing = {.measure = false}, .most_views = 2});
+  REQUIRE(all.views.size() == 4);  // though no tile has more than two
+  const Tiling tiling = plan_tiles(nn::model_preset("tiny"), all, {}, {}, 0);
+  CHECK(tiling.views == 2);
+  const Ground ground = tiling.grid.ground();
+  const auto chosen = scene::views_of(all, ground, all.user.scene.z_range);
+  REQUIRE(chosen.size() == 2);
+  CHECK(chosen[0] < chosen[1]);
+  const scene::WindowedScene part = scene::read_windows(all, ground, all.user.scene.z_range);
+  CHECK(part.views == chosen);
+  CHECK(part.scene.views[0].name == all.user.scene.views[chosen[0]].name);
+  const scene::Survey survey = files.survey();  // no choice where there are few
+  CHECK(scene::views_of(survey, ground, survey.user.scene.z_range).size() == 4);
+}
+
 TEST_CASE("only the ground that is wanted is made, on the cells of the whole") {
   const Files files(200);
   const scene::Survey survey = files.survey();

@@ -97,3 +97,42 @@ TEST_CASE("the best views of many") {
     CHECK(chosen({high, high, high}, 3).kept.empty());
   }
 }
+
+TEST_CASE("parts of the ground have views of their own") {
+  // two pairs beside one another, and a bridge between them
+  const View west = view_from("west", -0.15), west2 = view_from("west2", 0.15),
+             middle = view_from("middle", 0.05, 30), east = view_from("east", -0.15, 60),
+             east2 = view_from("east2", 0.15, 60), away = view_from("away", 0.1, 500),
+             twin = view_from("twin", 0.1501);
+  const auto height = [](const View&) { return 20.0; };
+  const std::vector<View> views{west, east, middle, west2, east2};
+  CHECK(choose_views(views, height, 9).kept.size() < 5);
+  const ViewChoice all = choose_views(views, height, 9, Together::connected);
+  CHECK(all.kept == std::vector<Index>{0, 1, 2, 3, 4});
+  const ViewChoice apart =
+      choose_views({west, west2, away, twin, east}, height, 9, Together::connected);
+  REQUIRE(apart.left_out.size() == 3);
+  CHECK(apart.left_out[0].label == "away");
+  CHECK(apart.left_out[0].why.starts_with("shares no ground with"));
+  CHECK(apart.left_out[1].why == "seen from the same direction as west2");
+}
+
+TEST_CASE("of the views that show a part of the ground the best few") {
+  const View low = view_from("low", -0.15), straight = view_from("straight", 0.0),
+             high = view_from("high", 0.15), slow = view_from("slow", 0.02),
+             twin = view_from("twin", 0.1501);
+  const std::vector<char> all(10, 1), none(10, 0), left{1, 1, 1, 1, 1, 0, 0, 0, 0, 0},
+      right{0, 0, 0, 0, 0, 1, 1, 1, 1, 1};
+  // the pair with the best base
+  CHECK(choose_for_ground({straight, slow, view_from("near", 0.05)}, {all, all, all}, 20, 2) ==
+        std::vector<Index>{0, 2});
+  // a view of nothing, and a second one from one direction, add nothing
+  CHECK(choose_for_ground({low, high, straight, twin}, {all, all, none, all}, 20, 4) ==
+        std::vector<Index>{0, 1});
+  // ground that two views alone show is not left to the others
+  CHECK(choose_for_ground({low, high, straight, slow, view_from("east", -0.1)},
+                          {left, left, left, right, right}, 20,
+                          4) == std::vector<Index>{0, 2, 3, 4});
+  CHECK(choose_for_ground({low, high}, {left, right}, 20, 2).empty());
+  CHECK(choose_for_ground({}, {}, 20, 2).empty());
+}
