@@ -154,15 +154,16 @@ void leave_out(Reconstruction& out, const Tensor& unwanted, const ReconstructPla
     out.dsm.z[i] = out.confidence[i] = std::nanf("");
     if (!out.sigma.empty()) out.sigma[i] = std::nanf("");
   }
+  // of surfels beyond the grid the nearest cell tells
+  const auto cell = [&](double distance, Index most) {
+    return std::clamp<Index>(static_cast<Index>(std::floor(distance / plan.step)), 0, most - 1);
+  };
   const Tensor& means = out.surfels.means.value();
   std::vector<Index> keep;
   for (Index i = 0; i < means.dim(0); ++i) {
-    const auto u = static_cast<Index>(
-                   std::floor((static_cast<double>(means[3 * i]) - plan.east) / plan.step)),
-               v = static_cast<Index>(
-                   std::floor((plan.north - static_cast<double>(means[3 * i + 1])) / plan.step));
-    const bool inside = u >= 0 && v >= 0 && u < plan.width && v < plan.height;
-    if (!inside || !(unwanted[v * plan.width + u] > 0)) keep.push_back(i);
+    const Index u = cell(static_cast<double>(means[3 * i]) - plan.east, plan.width),
+                v = cell(plan.north - static_cast<double>(means[3 * i + 1]), plan.height);
+    if (!(unwanted[v * plan.width + u] > 0)) keep.push_back(i);
   }
   out.surfels = splat::selected(out.surfels, keep);
 }

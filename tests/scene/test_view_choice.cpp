@@ -132,7 +132,7 @@ TEST_CASE("of the views that show a part of the ground the best few") {
   // ground that two views alone show is not left to the others
   CHECK(choose_for_ground({low, high, straight, slow, view_from("east", -0.1)},
                           {left, left, left, right, right}, 20,
-                          4) == std::vector<Index>{0, 2, 3, 4});
+                          4) == std::vector<Index>{0, 1, 3, 4});
   CHECK(choose_for_ground({low, high}, {left, right}, 20, 2).empty());
   CHECK(choose_for_ground({}, {}, 20, 2).empty());
 }
