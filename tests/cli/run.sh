@@ -254,7 +254,7 @@ succeeds "terrain" "$satsurf" reconstruct "${images[@]}" --out terrain --weights
 holds "says the heights" grep -q '"height_range_source": "from the terrain"' terrain/run.json
 holds "and is an input" grep -qE '"path": "(.*/)?SIM_001_DSM.tif"' terrain/run.json
 succeeds "terrain of elsewhere" "$satsurf" reconstruct "${images[@]}" --out terrain --overwrite --weights $weights --mesh none --dem data/Track3-Truth/SIM_002_DSM.tif --quiet
-holds "is told" grep -q '^satsurf: .*SIM_002_DSM.tif: it knows 0 % of the images. ground, expected 90 % or more' stderr
+holds "is told" grep -q '^warning: .*SIM_002_DSM.tif: it knows 0 % of the images. ground, expected 90 % or more' stderr
 holds "and in the record" grep -q '"code": "dem_unused"' terrain/run.json
 holds "and changes nothing else" cmp terrain/dsm.tif bare/dsm.tif
 refuses "terrain and heights" 2 "height_range and dem came, expected one of them" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --dem $truth --height-range 0 50 --quiet
