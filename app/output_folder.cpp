@@ -119,29 +119,35 @@ std::vector<fs::path> siblings(const fs::path& target, std::string_view kind) {
   return found;
 }
 
-/// Puts back or removes what killed processes have left beside `target`.
-/// throws  IoError if a process that lives is about to put something there
-void clear_leftovers(const fs::path& named, const fs::path& target) {
+/// Refuses a place that a living process is about to put something in, and puts back what a killed
+/// one had moved out of it.
+/// throws  IoError
+void look_around(const fs::path& named, const fs::path& target) {
+  for (const fs::path& other : siblings(target, kPartial))
+    if (FolderLock(other).busy()) refuse_busy(named, other);
   std::error_code failed;
   for (const fs::path& left : siblings(target, kReplaced)) {
-    if (!FolderLock(left).ours()) continue;
-    if (!fs::exists(target)) {
-      fs::rename(left, target, failed);
-      if (!failed)
-        log_line(LogLevel::info,
-                 target.string() + " put back, which a stopped run had moved to " + left.string());
-      continue;
+    if (fs::exists(target) || !FolderLock(left).ours()) continue;
+    fs::rename(left, target, failed);
+    if (!failed)
+      log_line(LogLevel::info,
+               target.string() + " put back, which a stopped run had moved to " + left.string());
+  }
+}
+
+/// Removes what killed processes have left in and beside `target`.
+void clear_leftovers(const fs::path& target) {
+  const auto tell = [](const fs::path& left) {
+    log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
+  };
+  for (const std::string_view kind : {kReplaced, kPartial})
+    for (const fs::path& left : siblings(target, kind)) {
+      if (!FolderLock(left).ours()) continue;
+      std::error_code failed;
+      fs::remove_all(left, failed);
+      if (!failed) tell(left);
     }
-    fs::remove_all(left, failed);
-    if (!failed) log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
-  }
-  for (const fs::path& left : siblings(target, kPartial)) {
-    const FolderLock lock(left);
-    if (lock.busy()) refuse_busy(named, left);
-    if (!lock.ours()) continue;
-    fs::remove_all(left, failed);
-    if (!failed) log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
-  }
+  for (const fs::path& left : remove_partial_files(target)) tell(left);
 }
 
 /// A new folder of that name, locked. Whoever clears left-overs may take it away between its making
@@ -177,6 +183,7 @@ OutputFolder::OutputFolder(OutputFolder&& other) noexcept
       inputs_(std::move(other.inputs_)),
       lock_(std::move(other.lock_)),
       overwrite_(other.overwrite_),
+      cleared_(other.cleared_),
       pending_(std::exchange(other.pending_, false)) {}
 
 OutputFolder::~OutputFolder() {
@@ -193,7 +200,7 @@ OutputFolder::~OutputFolder() {
 OutputFolder OutputFolder::staged(const fs::path& folder, bool overwrite,
                                   std::vector<fs::path> inputs) {
   const fs::path target = resolved(folder);
-  attempt(folder, "cleared", [&] { clear_leftovers(folder, target); });
+  look_around(folder, target);
   check(folder, target, overwrite, inputs);
   OutputFolder out(folder, target, sibling(target, kPartial));
   out.inputs_ = std::move(inputs);
@@ -214,18 +221,19 @@ OutputFolder OutputFolder::in_place(const fs::path& folder) {
   const fs::path target = resolved(folder);
   if (fs::exists(target) && !fs::is_directory(target))
     throw IoError("out: " + folder.string() + " is a file, expected a folder");
-  attempt(folder, "cleared", [&] { clear_leftovers(folder, target); });
+  look_around(folder, target);
   OutputFolder out(folder, target, target);
   out.lock_ = FolderLock(target);
   if (out.lock_.busy()) refuse_busy(folder, target);
-  if (out.lock_.ours())
-    for (const fs::path& left : remove_partial_files(target))
-      log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
   return out;
 }
 
 void OutputFolder::commit() {
-  if (!pending_) return;
+  if (pending_) put_in_place();
+  if (!std::exchange(cleared_, true)) clear_leftovers(target_);
+}
+
+void OutputFolder::put_in_place() {
   check(named_, target_, overwrite_, inputs_);  // others may have written there meanwhile
   attempt(target_, "put in its place", [&] {
     fs::path old;

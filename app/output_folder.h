@@ -13,8 +13,9 @@ namespace satsurf::app {
 /// place and renamed into it by `commit()`; without a commit nothing is left, neither the folder
 /// nor those made around it. A folder in place is one to go on in: whatever is there stays.
 ///
-/// What a killed process has left beside the place is removed by the next that wants it, which says
-/// so. Folders of processes that live are locked; their place is refused.
+/// What killed processes have left in and beside the place is removed by `commit()`, which says so:
+/// a run that is refused touches nothing. Folders of processes that live are locked; their place is
+/// refused.
 class OutputFolder {
  public:
   /// A folder that appears with `commit()`.
@@ -30,7 +31,7 @@ class OutputFolder {
   /// Names more files the run reads, known only since they are read.
   /// throws  IoError as `staged`
   void add_inputs(const std::vector<std::filesystem::path>& inputs);
-  /// The folder itself, as it is but for temporary files that a killed process has left.
+  /// The folder itself, as it is.
   /// throws  IoError if it is a file or worked on by another process
   static OutputFolder in_place(const std::filesystem::path& folder);
 
@@ -43,8 +44,7 @@ class OutputFolder {
   std::filesystem::path operator/(const std::filesystem::path& name) const { return work_ / name; }
   /// Whether the files are where they were asked for.
   bool in_its_place() const { return !pending_; }
-  /// Puts a staged folder in its place, which is looked at once more; nothing to do for one in
-  /// place. Where the file system can, old and new are exchanged in one step: there is no moment
+  /// Puts a staged folder in its place, which is looked at once more. Where the file system can, old and new are exchanged in one step: there is no moment
   /// without either.
   /// throws  IoError
   void commit();
@@ -52,11 +52,12 @@ class OutputFolder {
  private:
   OutputFolder(std::filesystem::path named, std::filesystem::path target,
                std::filesystem::path work);
+  void put_in_place();
 
   std::filesystem::path named_, target_, work_, first_made_;
   std::vector<std::filesystem::path> inputs_;
   FolderLock lock_;
-  bool overwrite_ = false, pending_;  // pending: work_ must go unless committed
+  bool overwrite_ = false, cleared_ = false, pending_;  // pending: work_ must go unless committed
 };
 
 /// Looks at a file before the work that ends in it.

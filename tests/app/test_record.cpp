@@ -249,12 +249,15 @@ TEST_CASE("output folder: what a killed process has left goes with the next run"
   SUBCASE("nothing is there") {
     fs::remove_all(folder / "out.replaced-8");
     { const OutputFolder dropped = OutputFolder::staged(out, false); }
-    CHECK(!fs::exists(out));
+    CHECK(fs::exists(folder / "out.partial-7"));
+    OutputFolder::staged(out, false).commit();
   }
   SUBCASE("what was to be replaced is there still") {
     leave_run(out);
-    { const OutputFolder dropped = OutputFolder::staged(out, true); }
-    CHECK(read_bytes(out / "run.json").size() > 2);
+    CHECK(error_of<IoError>([&] { OutputFolder::staged(out, false); }).ends_with("--overwrite"));
+    CHECK(fs::exists(folder / "out.partial-7"));
+    OutputFolder::staged(out, true).commit();
+    CHECK(fs::is_empty(out));
   }
   SUBCASE("what was to be replaced has been moved away") {
     leave_run(folder / "out.replaced-8");
@@ -262,12 +265,15 @@ TEST_CASE("output folder: what a killed process has left goes with the next run"
     CHECK(error_of<IoError>([&] { OutputFolder::staged(out, false); }) ==
           "out: " + out.string() + " exists and is not empty; use --overwrite");
     CHECK(read_bytes(out / "old.tif") == "old");
+    OutputFolder::staged(out, true).commit();
   }
   SUBCASE("in place") {
     leave_run(out);
     write_bytes(out / ".checkpoint.partial-7-0", "half");
     write_bytes(out / ".checkpoint.partial-7", "not ours");
-    { const OutputFolder place = OutputFolder::in_place(out); }
+    OutputFolder place = OutputFolder::in_place(out);
+    CHECK(fs::exists(out / ".checkpoint.partial-7-0"));
+    place.commit();
     CHECK(!fs::exists(out / ".checkpoint.partial-7-0"));
     CHECK(fs::exists(out / ".checkpoint.partial-7"));
   }
