@@ -26,6 +26,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kPlan = "plan.json";
+constexpr const char* kLock = "lock";
 
 /// The first place where two values differ, and how; empty where they do not.
 std::string difference(const nlohmann::json& was, const nlohmann::json& is,
@@ -106,13 +107,27 @@ class Record {
   nlohmann::json json_;
 };
 
+/// Removes everything but the file that says whose folder it is.
+void empty_store(const fs::path& folder) {
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(folder, error))
+    if (entry.path().filename() != kLock) fs::remove(entry.path(), error);
+}
+
+/// Removes the folder, that file last: whoever is killed on the way leaves what the next run knows.
+void remove_store(const fs::path& folder) {
+  empty_store(folder);
+  std::error_code error;
+  fs::remove_all(folder, error);
+}
+
 }  // namespace
 
 TileStore::TileStore(const fs::path& out, bool resume, bool overwrite)
     : folder_(folder_beside(out)) {
   const bool there = is_file(folder_ / kPlan);
   if (path_exists(folder_) && !there && !(is_folder(folder_) && fs::is_empty(folder_)) &&
-      !is_file(folder_ / "lock"))
+      !is_file(folder_ / kLock))
     throw IoError("out: " + folder_.string() +
                   " is in the way, expected nothing or the tiles of a stopped run there");
   if (there && !resume && !overwrite)
@@ -121,23 +136,20 @@ TileStore::TileStore(const fs::path& out, bool resume, bool overwrite)
                   "--overwrite to begin anew");
   std::error_code error;
   fs::create_directories(folder_, error);
-  lock_ = ::open((folder_ / "lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+  lock_ = ::open((folder_ / kLock).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
   if (lock_ < 0) throw IoError("out: " + folder_.string() + " cannot be written");
   if (::flock(lock_, LOCK_EX | LOCK_NB) != 0) {
     ::close(lock_);
     throw IoError("out: " + folder_.string() +
                   " is being worked on by another process, expected to have it alone");
   }
-  if (there && !resume)
-    for (const auto& entry : fs::directory_iterator(folder_, error))
-      if (entry.path().filename() != "lock") fs::remove(entry.path(), error);
+  if (!there || !resume) empty_store(folder_);
   remove_partial_files(folder_);
 }
 
 TileStore::~TileStore() {
   if (lock_ < 0) return;
-  std::error_code error;
-  if (!any()) fs::remove_all(folder_, error);
+  if (!any()) remove_store(folder_);
   ::close(lock_);
 }
 
@@ -238,8 +250,7 @@ reconstruct::TileSurface TileStore::load(const reconstruct::Tile& tile) const {
 }
 
 void TileStore::remove() {
-  std::error_code error;
-  fs::remove_all(folder_, error);
+  remove_store(folder_);
   ::close(lock_);
   lock_ = -1;
 }

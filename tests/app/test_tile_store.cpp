@@ -103,6 +103,20 @@ TEST_CASE("what a killed writer has left among the tiles goes with the next run"
   CHECK_FALSE(std::filesystem::exists(folder / "out.tiles/.tile_0001_0002.json.partial-7-3"));
 }
 
+TEST_CASE("tiles that a killed run had begun to remove are nobody's") {
+  const TempFolder folder("tiles");
+  {
+    TileStore store(folder / "out", false, false);
+    store.begin({{"a", 1}});
+    store.save(kTile, record(), surface());
+  }
+  std::filesystem::remove(folder / "out.tiles/plan.json");
+  for (const bool resume : {true, false}) {
+    const TileStore store(folder / "out", resume, false);
+    CHECK_FALSE(store.any());
+  }
+}
+
 TEST_CASE("a run that finished no tile leaves nothing") {
   const TempFolder folder("tiles");
   {
