@@ -278,8 +278,6 @@ void check_output_file(const std::string& flag, const fs::path& file, bool overw
                     ", expected another name");
   }
   if (fs::exists(file, code) && !overwrite) throw IoError(where + " exists; use --overwrite");
-  for (const fs::path& left : remove_partial_files(file.parent_path(), file.filename()))
-    log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
   // the folder around it, or the one to make that in
   fs::path folder = fs::absolute(file).parent_path();
   while (!fs::exists(folder, code) && folder.has_relative_path()) folder = folder.parent_path();
@@ -289,6 +287,8 @@ void check_output_file(const std::string& flag, const fs::path& file, bool overw
   if (::access(folder.c_str(), W_OK | X_OK) != 0)
     throw IoError(where + " cannot be written (" + std::generic_category().message(errno) +
                   "), expected a place that can be");
+  for (const fs::path& left : remove_partial_files(file.parent_path(), file.filename()))
+    log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
 }
 
 void check_distinct(const std::vector<fs::path>& files) {

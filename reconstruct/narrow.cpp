@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/reconstruct/narrow.h"
 
+#include "satsurf/core/whole.h"
 #include "satsurf/nn/confidence.h"
 #include "satsurf/nn/hypotheses.h"
 #include "satsurf/ops/resize.h"
@@ -90,8 +91,8 @@ class Unwanted {
   }
   bool holds(double x, double y) const {
     if (cells_.empty()) return false;
-    const auto u = static_cast<Index>(std::floor((x - grid_.east) / grid_.step)),
-               v = static_cast<Index>(std::floor((grid_.north - y) / grid_.step));
+    const Index u = floored((x - grid_.east) / grid_.step),
+                v = floored((grid_.north - y) / grid_.step);
     return u >= 0 && v >= 0 && u < grid_.width && v < grid_.height &&
            cells_[v * grid_.width + u] > 0;
   }
