@@ -54,9 +54,12 @@ fs::path resolved(const fs::path& folder) {
 
 /// Whether a file or folder lies in `folder`, or a link to it does.
 bool lies_in(const fs::path& folder, const fs::path& input) {
-  const fs::path name = fs::absolute(input).lexically_normal();
-  return holds(folder, fs::weakly_canonical(name)) ||
-         holds(folder, fs::weakly_canonical(name.parent_path()) / name.filename());
+  std::error_code unknown;  // what cannot be resolved cannot be read either, which its reader says
+  const fs::path name = fs::absolute(input, unknown).lexically_normal();
+  const fs::path real = fs::weakly_canonical(name, unknown),
+                 place = fs::weakly_canonical(name.parent_path(), unknown);
+  return (!real.empty() && holds(folder, real)) ||
+         (!place.empty() && holds(folder, place / name.filename()));
 }
 
 [[noreturn]] void refuse_busy(const fs::path& named, const fs::path& folder) {
@@ -292,7 +295,11 @@ void check_output_file(const std::string& flag, const fs::path& file, bool overw
 }
 
 void check_distinct(const std::vector<fs::path>& files) {
-  const auto place = [](const fs::path& file) { return fs::weakly_canonical(fs::absolute(file)); };
+  const auto place = [](const fs::path& file) {
+    std::error_code unknown;
+    const fs::path real = fs::weakly_canonical(fs::absolute(file, unknown), unknown);
+    return unknown ? file : real;
+  };
   for (std::size_t a = 0; a < files.size(); ++a)
     for (std::size_t b = a + 1; b < files.size(); ++b)
       if (!files[a].empty() && !files[b].empty() && place(files[a]) == place(files[b]))

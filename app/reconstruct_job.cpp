@@ -256,6 +256,7 @@ nlohmann::json results_json(const SurfaceFacts& facts, const scene::UserScene& u
           {"lowest", facts.heights.low},
           {"highest", facts.heights.high},
           {"mean_confidence", facts.mean_confidence},
+          {"image_correlation", facts.image_correlation},
           {"surfels", facts.surfels},
           {"tiles", facts.tiles},
           {"images", images_json(user.scene)},

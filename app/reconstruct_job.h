@@ -111,6 +111,7 @@ void print_plan_ground(const scene::UserScene& user, const reconstruct::Ground& 
 /// What the record says of every run.
 struct SurfaceFacts {
   double completeness = 0, resolution = 0, mean_confidence = 0, camera_fit_max_px = 0;
+  double image_correlation = 0;
   std::string crs;  ///< of the rasters
   Index rows = 0, columns = 0, surfels = 0, tiles = 0;
   rpc::HeightRange searched;                             ///< heights above the ellipsoid, m

@@ -361,6 +361,16 @@ scene::UserScene with_whole_cameras(const scene::Survey& survey) {
   return out;
 }
 
+/// The reduced copies with cameras that hold at the heights of the surface.
+std::vector<nn::PosedImage> posed_copies(const scene::Scene& copies,
+                                         const rpc::HeightRange& heights) {
+  const rpc::HeightRange z = copies.frame.z_from_heights(heights).widened(1);
+  std::vector<nn::PosedImage> out;
+  for (const scene::View& view : copies.views)
+    out.push_back(scene::posed_image(view, copies.frame, z));
+  return out;
+}
+
 /// small  of which the renders are made
 /// z_range  of the surface, local m
 void write_pictures(const OutputFolder& folder, const TiledSurface& made,
@@ -448,6 +458,10 @@ void reconstruct_tiles(ReconstructJob& job) {
   const SurfaceOverview small = overview_of_files(folder.path(), made, tiling.grid.step);
   const reconstruct::Reconstruction overview = overview_of(small, facts, scene);
   job.warnings.add(reconstruct::surface_warnings(overview));
+  const auto agreement =
+      reconstruct::image_agreement(small.dsm, posed_copies(scene, facts.heights));
+  facts.image_correlation = agreement.correlation;
+  job.warnings.add(reconstruct::image_warnings(agreement, scene.views));
   if (survey.user.pointing) scene::write_pointing(folder / "pointing.json", *survey.user.pointing);
   if (job.crs)
     job.bring_rasters(

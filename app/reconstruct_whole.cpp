@@ -190,6 +190,9 @@ void reconstruct_whole(ReconstructJob& job) {
   facts.crs = "EPSG:" + std::to_string(scene.frame.zone.epsg());
   facts.heights = heights_found(made, scene.frame.h0, options.images);
   job.warnings.add(reconstruct::surface_warnings(made));
+  const auto agreement = reconstruct::image_agreement(made.dsm, made.images);
+  facts.image_correlation = agreement.correlation;
+  job.warnings.add(reconstruct::image_warnings(agreement, scene.views));
 
   progress.update("write", 0);
   const reconstruct::Visibility visibility = reconstruct::find_visibility(made.dsm, made.images);

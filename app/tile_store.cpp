@@ -50,7 +50,9 @@ std::string difference(const nlohmann::json& was, const nlohmann::json& is,
 }
 
 fs::path folder_beside(const fs::path& out) {
-  fs::path path = fs::weakly_canonical(fs::absolute(out));
+  std::error_code error;
+  fs::path path = fs::weakly_canonical(fs::absolute(out, error), error);
+  if (error) throw IoError("out: " + out.string() + " cannot be found (" + error.message() + ")");
   if (!path.has_filename()) path = path.parent_path();
   path += ".tiles";
   return path;

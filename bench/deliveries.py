@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What vendors deliver, made from three images of one simulated scene, and what becomes of it.
 
-  bench/deliveries.py SATSURF FOLDER [CASE...]
+  bench/deliveries.py SATSURF FOLDER [--made-by PROGRAM] [CASE...]
 
 SATSURF  the program
+PROGRAM  another one that makes the surfaces, which SATSURF scores: an earlier commit's, to compare with
 FOLDER   to work in; `simulate` puts a scene there if it holds none
 CASE     names of the cases to try; without one all of them
 
@@ -169,7 +170,9 @@ def cases(images):
 
 
 def main(program, folder, *wanted):
-    folder = Path(folder)
+    folder, maker = Path(folder), program
+    if wanted[:1] == ("--made-by",):
+        maker, wanted = wanted[1], wanted[2:]
     scratch = folder / "scratch"
     if not (folder / "scene").exists():
         run(program, "simulate", "--out", folder / "scene", "--scenes", 1, "--views", 3, "--pixels", 512, "--kinds", "suburb",
@@ -195,14 +198,14 @@ def main(program, folder, *wanted):
             for image, path in zip(made, delivered):
                 image.write(path, scratch, *options)
             flags = [part for flag in flags for part in ranges.get(flag, flag).split()]
-            run(program, "reconstruct", *delivered, "--out", place / "out", "--mesh", "none", "--overwrite", "--quiet", *flags)
+            run(maker, "reconstruct", *delivered, "--out", place / "out", "--mesh", "none", "--overwrite", "--quiet", *flags)
             run(program, "evaluate", "--dsm", place / "out/dsm.tif", "--truth", truth, "--register", "xyz", "--seen-by", *files,
                 "--json", place / "scores.json", "--overwrite")
             scores = json.loads((place / "scores.json").read_text())["results"]
             record = json.loads((place / "out/run.json").read_text())
             error, found = scores["registered"]["mae"], scores["registered"]["completeness"]
             plain = plain or error
-            warnings = "; ".join(w if isinstance(w, str) else w.get("text", str(w)) for w in record["warnings"])
+            warnings = "; ".join(w if isinstance(w, str) else w.get("text", str(w)) for w in record.get("warnings", []))
             print(f"| {name} | {error:.3f} m | {error / plain:.2f} | {100 * found:.1f} % | {warnings} |", flush=True)
         except RuntimeError as e:
             print(f"| {name} | | | | {e} |", flush=True)

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/error.h"
 
+#include <algorithm>
 #include <fstream>
 #include <system_error>
 
@@ -43,6 +44,18 @@ bool is_file(const fs::path& path) noexcept {
 bool is_folder(const fs::path& path) noexcept {
   std::error_code ignored;
   return fs::is_directory(path, ignored);
+}
+
+std::vector<fs::path> entries_of(const fs::path& folder, const std::string& wanted) {
+  std::error_code error;
+  std::vector<fs::path> entries;
+  for (fs::directory_iterator at(folder, error), end; !error && at != end; at.increment(error))
+    entries.push_back(at->path());
+  if (error)
+    throw IoError(folder.string() + ": cannot be listed (" + error.message() + "), expected " +
+                  wanted);
+  std::sort(entries.begin(), entries.end());
+  return entries;
 }
 
 void require_file(const fs::path& path, const std::string& wanted) {

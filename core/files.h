@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <vector>
 
 namespace satsurf {
 
@@ -16,6 +17,12 @@ bool path_exists(const std::filesystem::path& path) noexcept;
 bool is_file(const std::filesystem::path& path) noexcept;
 /// Whether it is a folder, or a link to one.
 bool is_folder(const std::filesystem::path& path) noexcept;
+
+/// What lies in a folder, sorted.
+/// wanted  what the folder should be, for the error text
+/// throws  IoError for one that is missing or may not be listed
+std::vector<std::filesystem::path> entries_of(const std::filesystem::path& folder,
+                                              const std::string& wanted);
 
 /// Refuses what cannot be read to its end as often as one likes: a pipe would wait for a writer, a
 /// device may never end.

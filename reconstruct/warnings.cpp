@@ -22,7 +22,8 @@ constexpr double kDaysApart = 365;
 constexpr double kEndOfRange = 0.02, kPiledUp = 0.05;  // of the range, of the cells
 constexpr double kLowConfidence = 0.4;
 constexpr double kComplete = 0.8;
-constexpr double kWorstFit = 0.1;  // px; more shows in the heights
+constexpr double kWorstFit = 0.1;      // px; more shows in the heights
+constexpr double kUnconfirmed = 0.08;  // a cloud of a twelfth; other light and seasons reach 0.07
 
 template <class... Args>
 std::string text_of(const char* format, Args... args) {
@@ -152,20 +153,38 @@ std::vector<Warning> surface_warnings(const Reconstruction& made) {
   return out;
 }
 
+std::vector<Warning> image_warnings(const ImageAgreement& agreement,
+                                    const std::vector<scene::View>& views) {
+  std::vector<Warning> out;
+  const std::vector<double>& shares = agreement.unconfirmed;
+  for (std::size_t i = 0; i < shares.size(); ++i)
+    if (shares[i] > kUnconfirmed)
+      out.push_back({"image_differs",
+                     text_of("%s: %.0f %% of the ground on which other images agree look different "
+                             "in it, expected %.0f or less: clouds, snow, another season or "
+                             "light, changes? Heights there rest on the other images",
+                             views.at(i).name.c_str(), 100 * shares[i], 100 * kUnconfirmed)});
+  return out;
+}
+
 std::vector<std::pair<std::string, std::string>> warning_codes() {
-  return {{"ground_size",
-           text_of("pixels below %g or above %g m on the ground", kLeastSize, kLargestSize)},
-          {"little_parallax",
-           text_of("no two views are %g m of ground apart per metre of height", kLeastBase)},
-          {"much_parallax", text_of("every two views are more than %g apart", kLargestBase)},
-          {"suns_apart", text_of("suns more than %g degrees apart", kSunsApart)},
-          {"dates_apart", text_of("dates more than %g days apart", kDaysApart)},
-          {"end_of_range", text_of("more than %g %% of the cells within %g %% of the height range "
-                                   "from one of its ends",
-                                   100 * kPiledUp, 100 * kEndOfRange)},
-          {"low_confidence", text_of("mean confidence below %g", kLowConfidence)},
-          {"large_gaps", text_of("completeness below %g %%", 100 * kComplete)},
-          {"camera_fit", text_of("cameras fitted to worse than %g px", kWorstFit)}};
+  return {
+      {"ground_size",
+       text_of("pixels below %g or above %g m on the ground", kLeastSize, kLargestSize)},
+      {"little_parallax",
+       text_of("no two views are %g m of ground apart per metre of height", kLeastBase)},
+      {"much_parallax", text_of("every two views are more than %g apart", kLargestBase)},
+      {"suns_apart", text_of("suns more than %g degrees apart", kSunsApart)},
+      {"dates_apart", text_of("dates more than %g days apart", kDaysApart)},
+      {"end_of_range", text_of("more than %g %% of the cells within %g %% of the height range "
+                               "from one of its ends",
+                               100 * kPiledUp, 100 * kEndOfRange)},
+      {"low_confidence", text_of("mean confidence below %g", kLowConfidence)},
+      {"large_gaps", text_of("completeness below %g %%", 100 * kComplete)},
+      {"image_differs", text_of("more than %g %% of the ground on which other images agree look "
+                                "different in an image; needs three images",
+                                100 * kUnconfirmed)},
+      {"camera_fit", text_of("cameras fitted to worse than %g px", kWorstFit)}};
 }
 
 }  // namespace satsurf::reconstruct

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/reconstruct/image_agreement.h"
 #include "satsurf/reconstruct/reconstruct.h"
 
 #include <string>
@@ -22,6 +23,11 @@ std::vector<Warning> scene_warnings(const scene::Scene& scene);
 /// What the surface lets fear: heights piled up at an end of the range that was searched, low
 /// confidence, large gaps, cameras that their quadratics do not follow.
 std::vector<Warning> surface_warnings(const Reconstruction& made);
+
+/// What the images let fear once there is a surface: one that shows something else than the others.
+/// views  whose images these are
+std::vector<Warning> image_warnings(const ImageAgreement& agreement,
+                                    const std::vector<scene::View>& views);
 
 /// Every code with what it stands for and from which number on.
 std::vector<std::pair<std::string, std::string>> warning_codes();

@@ -30,11 +30,9 @@ constexpr double kTruthMargin = 5;
 std::vector<fs::path> files_of(const fs::path& folder, const std::vector<std::string>& extensions) {
   std::vector<fs::path> files;
   if (!is_folder(folder)) return files;
-  for (const auto& entry : fs::directory_iterator(folder))
-    if (std::find(extensions.begin(), extensions.end(), entry.path().extension()) !=
-        extensions.end())
-      files.push_back(entry.path());
-  std::sort(files.begin(), files.end());
+  for (const fs::path& entry : entries_of(folder, "images"))
+    if (std::find(extensions.begin(), extensions.end(), entry.extension()) != extensions.end())
+      files.push_back(entry);
   return files;
 }
 
@@ -125,8 +123,8 @@ std::vector<std::string> list_scenes(const fs::path& folder) {
       if (const std::string scene = scene_of(f.stem().string()); !scene.empty())
         names.insert(scene);
   } else if (is_folder(folder / "images")) {
-    for (const auto& entry : fs::directory_iterator(folder / "images"))
-      if (entry.is_directory()) names.insert(entry.path().filename().string());
+    for (const fs::path& entry : entries_of(folder / "images", "folders of images"))
+      if (is_folder(entry)) names.insert(entry.filename().string());
   } else {
     no_layout(folder);
   }

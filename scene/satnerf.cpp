@@ -67,9 +67,8 @@ fs::path satnerf_folder(const fs::path& folder, const std::string& name) {
 std::set<std::string> satnerf_scenes(const fs::path& folder) {
   if (is_satnerf(folder)) return {name_of(folder)};
   std::set<std::string> names;
-  for (const auto& entry : fs::directory_iterator(folder))
-    if (entry.is_directory() && is_satnerf(entry.path()))
-      names.insert(entry.path().filename().string());
+  for (const fs::path& entry : entries_of(folder, "a data set"))
+    if (is_satnerf(entry)) names.insert(entry.filename().string());
   return names;
 }
 

@@ -2,7 +2,9 @@
 #include "satsurf/core/error.h"
 #include "satsurf/core/files.h"
 
+#include <filesystem>
 #include <string>
+#include <vector>
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
@@ -33,6 +35,14 @@ TEST_CASE("files: what is no file is named for what it is, and nobody waits for 
   CHECK(error(long_name).starts_with(long_name + ": cannot be found ("));
   std::filesystem::resize_file(file, kMostText + 1);
   CHECK(error(file) == file + ": larger than 64 MiB, expected a text");
+
+  const auto names = entries_of(folder.path(), "a folder");
+  CHECK(names == std::vector<std::filesystem::path>{file, link, pipe});
+  CHECK(error_of<IoError>([&] {
+          entries_of(file, "images");
+        }).starts_with(file + ": cannot be listed ("));
+  CHECK(
+      error_of<IoError>([&] { entries_of(long_name, "images"); }).ends_with("), expected images"));
 
   CHECK(is_file(link));
   CHECK_FALSE(is_file(pipe));

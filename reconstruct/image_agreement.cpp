@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/reconstruct/image_agreement.h"
+
+#include "satsurf/core/parallel.h"
+#include "satsurf/nn/surfel_head.h"
+#include "satsurf/scene/sight_lines.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <optional>
+
+namespace satsurf::reconstruct {
+namespace {
+
+constexpr Index kSide = 8;                                // points along a square
+constexpr double kSpacing = 3;                            // px between them
+constexpr double kConfirmed = 0.6;                        // correlation of what shows the same
+constexpr double kUnlike = 0.2;                           // of what does not
+constexpr Index kLeastPoints = 32;                        // both images have to show
+constexpr double kLeastSquares = 20, kLeastShare = 0.01;  // to judge an image by
+constexpr double kLeastDeviation = 0.004;                 // of the brightness: one grey level
+
+using Points = std::array<float, kSide * kSide>;  ///< brightness, NaN where not seen
+
+/// Pearson's; 0 for what has no texture, nothing for too few points in common.
+std::optional<double> correlation(const Points& a, const Points& b) {
+  double n = 0, sa = 0, sb = 0, saa = 0, sbb = 0, sab = 0;
+  for (std::size_t k = 0; k < a.size(); ++k) {
+    const auto p = static_cast<double>(a[k]), q = static_cast<double>(b[k]);
+    if (!(std::isfinite(p) && std::isfinite(q))) continue;
+    n += 1, sa += p, sb += q, saa += p * p, sbb += q * q, sab += p * q;
+  }
+  if (n < kLeastPoints) return std::nullopt;
+  const double va = saa / n - sa * sa / (n * n), vb = sbb / n - sb * sb / (n * n);
+  constexpr double kLeast = kLeastDeviation * kLeastDeviation;
+  if (va < kLeast || vb < kLeast) return 0;
+  return (sab / n - sa * sb / (n * n)) / std::sqrt(va * vb);
+}
+
+/// Mean of the channels at the nearest pixel; NaN outside and where the image has no data.
+float brightness(const nn::PosedImage& image, const std::array<double, 2>& pixel) {
+  const Index H = image.valid.dim(0), W = image.valid.dim(1), C = image.rgb.dim(0);
+  const auto x = static_cast<Index>(std::lround(pixel[0])),
+             y = static_cast<Index>(std::lround(pixel[1]));
+  if (x < 0 || y < 0 || x >= W || y >= H || !(image.valid[y * W + x] > 0)) return NAN;
+  float sum = 0;
+  for (Index c = 0; c < C; ++c) sum += image.rgb[(c * H + y) * W + x];
+  return sum / static_cast<float>(C);
+}
+
+/// What was found in some squares.
+struct Found {
+  double correlations = 0;  ///< summed over the pairs
+  Index pairs = 0;
+  /// For each image the squares in which it was judged, and those in which nobody confirmed it.
+  std::vector<Index> judged, alone;
+
+  explicit Found(std::size_t images) : judged(images), alone(images) {}
+  void add(const Found& other) {
+    correlations += other.correlations, pairs += other.pairs;
+    for (std::size_t i = 0; i < judged.size(); ++i)
+      judged[i] += other.judged[i], alone[i] += other.alone[i];
+  }
+};
+
+/// Looks at one square, of which every image shows some points.
+void judge(const std::vector<Points>& shown, Found& found) {
+  const std::size_t n = shown.size();
+  std::vector<double> best(n, -2);  // with any other; -2 for none to compare with
+  std::vector<bool> confirmed(n * n);
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t j = 0; j < i; ++j)
+      if (const auto c = correlation(shown[i], shown[j])) {
+        found.correlations += *c, ++found.pairs;
+        best[i] = std::max(best[i], *c), best[j] = std::max(best[j], *c);
+        confirmed[i * n + j] = *c >= kConfirmed;
+      }
+  for (std::size_t k = 0; k < n; ++k) {
+    if (best[k] < -1) continue;
+    bool others = false;
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t j = 0; j < i; ++j) others |= i != k && j != k && confirmed[i * n + j];
+    if (!others) continue;
+    ++found.judged[k];
+    found.alone[k] += best[k] < kUnlike;
+  }
+}
+
+/// Mean side of the images' pixels on the ground, m.
+double mean_footprint(const std::vector<nn::PosedImage>& images, double z) {
+  double sum = 0;
+  for (const nn::PosedImage& image : images) sum += nn::pixel_geometry(image, z, 1).footprint;
+  return sum / static_cast<double>(images.size());
+}
+
+double middle_of(const Tensor& heights) {
+  double low = INFINITY, high = -INFINITY;
+  for (const float v : heights.values())
+    if (std::isfinite(v))
+      low = std::min(low, static_cast<double>(v)), high = std::max(high, static_cast<double>(v));
+  return low <= high ? 0.5 * (low + high) : 0;
+}
+
+}  // namespace
+
+ImageAgreement image_agreement(const scene::HeightField& surface,
+                               const std::vector<nn::PosedImage>& images) {
+  ImageAgreement out{.unconfirmed = std::vector<double>(images.size(), 0)};
+  std::vector<scene::LitView> views;
+  for (const nn::PosedImage& image : images) views.push_back({image});
+  const scene::SightLines lines(surface, views);
+  if (lines.empty() || images.size() < 2) return out;
+
+  const Index H = surface.z.dim(0), W = surface.z.dim(1);
+  const double spacing =  // cells
+      kSpacing * mean_footprint(images, middle_of(surface.z)) / surface.step;
+  const auto squares = [&](Index cells) {
+    return static_cast<Index>(static_cast<double>(cells) / (spacing * static_cast<double>(kSide)));
+  };
+  const auto cell = [&](Index square, Index point) {
+    return static_cast<Index>(spacing * (static_cast<double>(square * kSide + point) + 0.5));
+  };
+  const Index rows = squares(H), columns = squares(W);
+  std::vector<Found> in_rows(static_cast<std::size_t>(rows), Found(images.size()));
+  for_each_index(rows, [&](Index r) {
+    std::vector<Points> shown(images.size());
+    for (Index c = 0; c < columns; ++c) {
+      for (Points& points : shown) points.fill(NAN);
+      for (Index k = 0; k < kSide * kSide; ++k) {
+        const Index i = cell(r, k / kSide), j = cell(c, k % kSide);
+        const auto z = static_cast<double>(surface.z[i * W + j]);
+        if (!std::isfinite(z)) continue;
+        const double x = surface.x0 + (static_cast<double>(j) + 0.5) * surface.step,
+                     y = surface.y0 - (static_cast<double>(i) + 0.5) * surface.step;
+        for (std::size_t v = 0; v < images.size(); ++v)
+          if (lines.sees(v, i, j))
+            shown[v][static_cast<std::size_t>(k)] =
+                brightness(images[v], images[v].pixel_from_local(x, y, z));
+      }
+      judge(shown, in_rows[static_cast<std::size_t>(r)]);
+    }
+  });
+  Found all(images.size());
+  for (const Found& row : in_rows) all.add(row);
+  if (all.pairs > 0) out.correlation = all.correlations / static_cast<double>(all.pairs);
+  const double least = std::max(kLeastSquares, kLeastShare * static_cast<double>(rows * columns));
+  for (std::size_t v = 0; v < images.size(); ++v)
+    if (const auto judged = static_cast<double>(all.judged[v]); judged >= least)
+      out.unconfirmed[v] = static_cast<double>(all.alone[v]) / judged;
+  return out;
+}
+
+}  // namespace satsurf::reconstruct

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "satsurf/nn/input.h"
+#include "satsurf/scene/raycast.h"
+
+#include <vector>
+
+namespace satsurf::reconstruct {
+
+/// What images that show a surface say of it and of one another.
+struct ImageAgreement {
+  /// Mean correlation of the brightness of every two images, -1 to 1; 0 where no two show any of it.
+  /// Of two surfaces made of the same images the better one has more.
+  double correlation = 0;
+  /// For each image the share of the ground that no other image confirms although two others
+  /// confirm each other there: clouds and their shadows, snow, harvested fields, what was built in
+  /// between. It takes three images: of two that differ neither is right. 0 where there is less to
+  /// judge by than a hundredth of the surface or 20 squares.
+  std::vector<double> unconfirmed;
+};
+
+/// Compares the images in squares of 24 px of ground, where they see the surface.
+/// surface  in the local frame
+/// images   whole, in the same frame
+/// cost     a ray per image and 9 px of ground
+ImageAgreement image_agreement(const scene::HeightField& surface,
+                               const std::vector<nn::PosedImage>& images);
+
+}  // namespace satsurf::reconstruct
