@@ -11,6 +11,8 @@ std::atomic<int> signal_seen{0};
 
 }  // namespace
 
+void survive_file_limits() { std::signal(SIGXFSZ, SIG_IGN); }
+
 void catch_interrupts() {
   struct sigaction action {};
   action.sa_handler = [](int signal) { signal_seen = signal; };

@@ -6,6 +6,10 @@ namespace satsurf::app {
 /// Thrown out of a command that was told to stop, e.g. by Ctrl-C.
 struct Interrupted {};
 
+/// Lets a write beyond the limit of a file's size (`ulimit -f`) fail as one to a full disk does,
+/// instead of ending the program.
+void survive_file_limits();
+
 /// From now on the first SIGINT, SIGTERM or SIGHUP is noted and the second of its kind kills; a
 /// SIGHUP that nohup has the program ignore stays ignored.
 void catch_interrupts();

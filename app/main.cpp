@@ -65,6 +65,7 @@ int run_program(int argc, char** argv) {
     complain(std::string(e.what()) + "; see satsurf --help");
     return kUsage;
   }
+  survive_file_limits();
   open_log(program.common.log_level, program.common.quiet, program.common.log_file);
   set_threads(program.common.threads);
   log_command(argc, argv);

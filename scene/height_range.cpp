@@ -22,8 +22,11 @@ constexpr Index kRadius = 3;         // px, half a correlation window
 constexpr double kAgreement = 0.75;  // correlation from which a match counts
 constexpr double kUnique = 0.1;      // by which the best height must beat every other peak
 constexpr Index kPatch = (2 * kRadius + 1) * (2 * kRadius + 1);  // px, the least that is believed
-/// Added to the percentiles, m: roofs and gullies smaller than a coarse window.
+/// Added at both ends, m: roofs and gullies smaller than a coarse window.
 constexpr double kMargin = 15;
+/// Added above besides, of the span: the higher a city, the higher may a single tower rise above
+/// all that is found.
+constexpr double kTower = 0.25;
 /// Valid pixels of a window that can be compared.
 constexpr float kWhole = 0.9f * static_cast<float>(kPatch);
 constexpr float kTexture = 1e-5f;  // variance of a window that is not flat
@@ -293,7 +296,8 @@ rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& s
         scene.frame.heights_from_z(searched).high, kFewest);
     throw Error(names_of(scene) + ": " + text);
   }
-  return believable_span(std::move(heights), searched).widened(kMargin);
+  const rpc::HeightRange found = believable_span(std::move(heights), searched);
+  return {found.low - kMargin, found.high + kMargin + kTower * found.span()};
 }
 
 }  // namespace satsurf::scene
