@@ -371,25 +371,25 @@ std::vector<nn::PosedImage> posed_copies(const scene::Scene& copies,
   return out;
 }
 
-/// small  of which the renders are made
-/// z_range  of the surface, local m
+/// small   of which the renders are made
+/// copies  the reduced images
+/// posed   these with their cameras
 void write_pictures(const OutputFolder& folder, const TiledSurface& made,
                     const SurfaceOverview& small, const scene::Scene& copies,
-                    const rpc::HeightRange& z_range, Progress& progress) {
+                    const std::vector<nn::PosedImage>& posed, Progress& progress) {
   const rpc::GeoGrid grid = geo_grid(made.dsm, copies.frame);
   const ColourScale heights = height_scale(made.dsm.z, copies.frame.h0), sure = confidence_scale();
   write_map(folder / "height.png", height_picture(made.dsm.z), &heights, grid);
   write_map(folder / "hillshade.png", hillshade_picture(made.dsm.z, made.dsm.step), nullptr, grid);
   write_map(folder / "confidence.png", confidence_picture(made.confidence), &sure, grid);
   fs::create_directories(folder / "views");
-  double done = 0;
-  for (const scene::View& view : copies.views) {
+  for (std::size_t i = 0; i < posed.size(); ++i) {
+    const scene::View& view = copies.views[i];
     stop_if_interrupted();
-    progress.update("pictures", done++ / static_cast<double>(copies.views.size()));
+    progress.update("pictures", static_cast<double>(i) / static_cast<double>(posed.size()));
     write_png(folder / "views" / (view.name + "_source.png"), view.rgb);
     write_png(folder / "views" / (view.name + "_render.png"),
-              reconstruct::draped_view(small.dsm, small.ortho,
-                                       scene::posed_image(view, copies.frame, z_range)));
+              reconstruct::draped_view(small.dsm, small.ortho, posed[i]));
   }
 }
 
@@ -458,8 +458,8 @@ void reconstruct_tiles(ReconstructJob& job) {
   const SurfaceOverview small = overview_of_files(folder.path(), made, tiling.grid.step);
   const reconstruct::Reconstruction overview = overview_of(small, facts, scene);
   job.warnings.add(reconstruct::surface_warnings(overview));
-  const auto agreement =
-      reconstruct::image_agreement(small.dsm, posed_copies(scene, facts.heights));
+  const std::vector<nn::PosedImage> posed = posed_copies(scene, facts.heights);
+  const auto agreement = reconstruct::image_agreement(small.dsm, posed);
   facts.image_correlation = agreement.correlation;
   job.warnings.add(reconstruct::image_warnings(agreement, scene.views));
   if (survey.user.pointing) scene::write_pointing(folder / "pointing.json", *survey.user.pointing);
@@ -467,10 +467,8 @@ void reconstruct_tiles(ReconstructJob& job) {
     job.bring_rasters(
         geo_grid({{}, tiling.grid.east, tiling.grid.north, tiling.grid.step}, scene.frame), facts);
   progress.update("pictures", 0);
-  job.warnings.attempt("pictures", [&] {
-    const rpc::HeightRange z = scene.frame.z_from_heights(facts.heights);
-    write_pictures(folder, made, small, scene, z.widened(1), progress);
-  });
+  job.warnings.attempt("pictures",
+                       [&] { write_pictures(folder, made, small, scene, posed, progress); });
   progress.update("pictures", 1);
   stop_if_interrupted();
   if (options.mesh == MeshKind::tsdf)

@@ -72,7 +72,7 @@ part_files() {
   local name kb
   for name in "${names[@]}"; do
     command_of "$name"
-    for kb in 0 1 4 16 64 256 1024 4096 16384; do
+    for kb in 0 1 4 16 64 256 1024 4096 16384 65536; do
       (ulimit -f $kb; "${command[@]}") 2>&1 | cat >output
       refused_or_done "$name" "files of $kb KiB at most" "${PIPESTATUS[0]}"
     done
@@ -127,7 +127,7 @@ part_signals() {
         sleep $moment
         start=$EPOCHREALTIME
         kill -$signal $pid 2>/dev/null || { wait $pid; clear_away; continue; }
-        wait $pid
+        wait $pid 2>/dev/null
         rc=$?
         took=$(awk -v a="$start" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.2f", b - a }')
         late=$(awk -v a="$late" -v b="$took" 'BEGIN { print (a > b ? a : b) }')
