@@ -10,7 +10,7 @@ set(satsurf_internal_headers
   "/rpc/(camera_check|gdal)\\.h$"
   "/nn/parameter_limit\\.h$"
   "/mesh/sampled_view\\.h$"
-  "/scene/(grey_pyramid|ray_walk|satnerf|sight_lines)\\.h$"
+  "/scene/(grey_pyramid|ray_walk|satnerf|sight_lines|whu)\\.h$"
   "/scene/simulate/(city|conditions|develop|dress|given|layout|noise|orbit|render|texture)\\.h$"
   "/reconstruct/(cast|cell_mode|cell_surfels|cross_check|fusion|narrow|surface_input|trust)\\.h$"
   "/train/(sample_batch)\\.h$"

@@ -43,10 +43,11 @@ struct TrainOptions {
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
     v("data", s.data,
-      Field{.help =
-                "data set: what simulate writes, DFC2019 Track 3, EOGS or Sat-NeRF; without one "
-                "scenes are made up while the training runs (not for --task mono)",
-            .placeholder = "DIR"});
+      Field{
+          .help =
+              "data set: what simulate writes, DFC2019 Track 3, EOGS, WHU-TLC or Sat-NeRF; without "
+              "one scenes are made up while the training runs (not for --task mono)",
+          .placeholder = "DIR"});
     v("out", s.out,
       Field{
           .help = "folder for checkpoint, weights and train.jsonl (required unless --print-config)",

@@ -4,10 +4,12 @@
 #include "satsurf/core/files.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/satnerf.h"
+#include "satsurf/scene/whu.h"
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <optional>
 #include <set>
 #include <utility>
 
@@ -23,8 +25,8 @@ constexpr double kTruthMargin = 5;
   throw IoError(
       folder.string() +
       ": not a data set, expected Track3-RGB/ and Track3-Truth/ (simulate, DFC2019), images/, "
-      "rpcs/ and truth/ (EOGS) or train.txt and the JSON files it lists (Sat-NeRF), or folders of "
-      "such");
+      "rpcs/ and truth/ (EOGS), image/0/, rpc/0/ and height/0/ (WHU-TLC) or train.txt and the JSON "
+      "files it lists (Sat-NeRF), or folders of such");
 }
 
 std::vector<fs::path> files_of(const fs::path& folder, const std::vector<std::string>& extensions) {
@@ -111,10 +113,66 @@ std::pair<double, double> finite_range(const Tensor& z) {
   return {low, high};
 }
 
+/// What the files of a scene say, before there is a frame for it.
+struct Found {
+  std::vector<View> views;
+  /// Heights by the views' own files, m above the ellipsoid.
+  rpc::HeightRange known{INFINITY, -INFINITY};
+  rpc::UtmZone zone;
+  fs::path truth_file;                  ///< or where one was looked for
+  std::optional<rpc::GeoRaster> truth;  ///< m above the ellipsoid
+  Tensor classes;                       ///< on the truth's cells, or empty
+};
+
+/// throws  IoError for a camera that sees the middle of its image nowhere
+rpc::UtmZone zone_of(const View& view) {
+  const rpc::Geodetic centre = centre_of(view);
+  return rpc::utm_zone_of(centre.lon, centre.lat);
+}
+
+/// A scene whose truth is a surface model.
+Found find_files(const fs::path& folder, const std::string& name) {
+  const SceneFiles files = files_of_scene(folder, name);
+  Found found;
+  for (const rpc::ViewSource& source : files.views) {
+    const rpc::Image image = rpc::open_view(source);
+    if (image.info.height_range) {
+      found.known.low = std::min(found.known.low, image.info.height_range->low);
+      found.known.high = std::max(found.known.high, image.info.height_range->high);
+    }
+    found.views.push_back(view_of(image, source.file));
+  }
+  found.zone = zone_of(found.views[0]);
+  found.truth_file = files.dsm.empty() ? folder / (name + "_DSM.tif") : files.dsm;
+  if (!path_exists(files.dsm)) return found;
+  found.truth = read_one_band(files.dsm, found.zone);
+  if (path_exists(files.classes)) {
+    const rpc::GeoRaster c = read_one_band(files.classes, found.zone);
+    check_same_grid(files.classes, c, files.dsm, *found.truth);
+    found.classes = c.values;
+  }
+  return found;
+}
+
+/// A scene whose truth is the heights of its views.
+Found find_whu(const fs::path& folder, const std::string& name) {
+  Found found;
+  found.views = whu_views(folder, name);
+  found.zone = zone_of(found.views[0]);
+  WhuTruth truth = whu_truth(folder, name, found.views, found.zone);
+  found.truth_file = std::move(truth.file);
+  found.truth = std::move(truth.surface);
+  return found;
+}
+
 }  // namespace
 
 std::vector<std::string> list_scenes(const fs::path& folder) {
   if (!is_folder(folder)) throw IoError(folder.string() + ": no such folder, expected a data set");
+  if (is_whu(folder)) {
+    const std::set<std::string> names = whu_scenes(folder);
+    return {names.begin(), names.end()};
+  }
   std::set<std::string> names = satnerf_scenes(folder);
   if (!names.empty()) {
     for (const std::string& name : names) satnerf_views(satnerf_folder(folder, name));
@@ -134,30 +192,20 @@ std::vector<std::string> list_scenes(const fs::path& folder) {
 }
 
 Scene load_scene(const fs::path& folder, const std::string& name) {
-  const SceneFiles files = files_of_scene(folder, name);
+  Found found = is_whu(folder) ? find_whu(folder, name) : find_files(folder, name);
   Scene scene;
   scene.name = name;
   scene.images = folder;
-  scene.truth_file = files.dsm.empty() ? folder / (name + "_DSM.tif") : files.dsm;
+  scene.truth_file = std::move(found.truth_file);
+  scene.views = std::move(found.views);
+  scene.frame.zone = found.zone;
 
-  rpc::HeightRange known{INFINITY, -INFINITY};  // m above the ellipsoid
-  for (const rpc::ViewSource& source : files.views) {
-    const rpc::Image image = rpc::open_view(source);
-    if (image.info.height_range) {
-      known.low = std::min(known.low, image.info.height_range->low);
-      known.high = std::max(known.high, image.info.height_range->high);
-    }
-    scene.views.push_back(view_of(image, source.file));
-  }
-
-  const rpc::Geodetic centre = centre_of(scene.views[0]);
-  scene.frame.zone = rpc::utm_zone_of(centre.lon, centre.lat);
-
-  if (path_exists(files.dsm)) {
-    const rpc::GeoRaster raster = read_one_band(files.dsm, scene.frame.zone);
+  rpc::HeightRange known = found.known;
+  if (found.truth) {
+    const rpc::GeoRaster& raster = *found.truth;
     const auto [z_min, z_max] = finite_range(raster.values);
     if (std::isnan(z_min))
-      throw IoError(files.dsm.string() + ": no finite height, expected a surface model");
+      throw IoError(scene.truth_file.string() + ": no finite height, expected a surface model");
     known = rpc::HeightRange{z_min, z_max}.widened(kTruthMargin);
     const Index H = raster.values.dim(0), W = raster.values.dim(1);
     const double step = raster.grid.step;
@@ -168,12 +216,9 @@ Scene load_scene(const fs::path& folder, const std::string& name) {
                       raster.grid.y0 - scene.frame.northing0, step};
     for (float& z : truth.z.values()) z -= static_cast<float>(scene.frame.h0);
     scene.truth = std::move(truth);
-    if (path_exists(files.classes)) {
-      const rpc::GeoRaster c = read_one_band(files.classes, scene.frame.zone);
-      check_same_grid(files.classes, c, files.dsm, raster);
-      scene.classes = c.values;
-    }
+    scene.classes = std::move(found.classes);
   } else {
+    const rpc::Geodetic centre = centre_of(scene.views[0]);
     const auto utm = rpc::utm_from_geodetic(scene.frame.zone, centre.lon, centre.lat);
     scene.frame.easting0 = std::round(utm[0]);
     scene.frame.northing0 = std::round(utm[1]);

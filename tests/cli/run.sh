@@ -781,6 +781,11 @@ refuses "classes of another size" 1 "SIM_001_CLS.tif" "$satsurf" evaluate --data
 refuses "evaluating without truth" 1 "SIM_001_DSM.tif" "$satsurf" evaluate --data bare --weights $weights --quiet
 mkdir -p eogs/images && cp -r bare/Track3-RGB eogs/images/S
 refuses "EOGS without truth" 1 "eogs/truth/S/S_DSM.tif" "$satsurf" evaluate --data eogs --weights $weights --quiet
+mkdir -p whu/image/0 && cp data/Track3-RGB/SIM_001_001_RGB.tif whu/image/0/S.png
+refuses "WHU-TLC of one view" 1 "whu/image: holds the folder 0 alone" "$satsurf" evaluate --data whu --weights $weights --quiet
+mkdir whu/image/1 && cp data/Track3-RGB/SIM_001_002_RGB.tif whu/image/1/S.png
+refuses "WHU-TLC without cameras" 1 "whu/image/0/S.png: no camera .RPC., looked for .*whu/rpc/0/S.rpc" \
+  "$satsurf" evaluate --data whu --weights $weights --quiet
 refuses "missing truth" 1 "gone.tif" "$satsurf" evaluate --dsm out/dsm.tif --truth gone.tif
 refuses "truth of another place" 1 "SIM_002_DSM.tif" "$satsurf" evaluate --dsm out/dsm.tif --truth data/Track3-Truth/SIM_002_DSM.tif
 head -c 500 out/surfels.ply >short.ply

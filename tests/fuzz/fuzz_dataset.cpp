@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Data sets in the layouts of Sat-NeRF, EOGS and DFC2019: the lists and cameras are the input, the images are there.
+// Data sets in the layouts of Sat-NeRF, EOGS, DFC2019 and WHU-TLC: the lists, cameras and heights are the input, the
+// images are there.
 #include "satsurf/scene/dataset.h"
 
 #include "tests/fuzz/fuzz.h"
@@ -10,16 +11,18 @@ namespace satsurf::fuzz {
 void run(std::string_view bytes) {
   namespace fs = std::filesystem;
   static const bool made = [] {
-    for (const char* name : {"nerf/S/S_001_RGB.tif", "eogs/images/S/S_001_RGB.tif",
-                             "eogs/images/S/S_002_RGB.tif", "dfc/Track3-RGB/S_001_RGB.tif",
-                             "dfc/Track3-Truth/S_DSM.tif", "dfc/Track3-Truth/S_CLS.tif"})
+    for (const char* name :
+         {"nerf/S/S_001_RGB.tif", "eogs/images/S/S_001_RGB.tif", "eogs/images/S/S_002_RGB.tif",
+          "dfc/Track3-RGB/S_001_RGB.tif", "dfc/Track3-Truth/S_DSM.tif",
+          "dfc/Track3-Truth/S_CLS.tif", "whu/image/0/S.png", "whu/image/1/S.png"})
       small_raster(name);
-    fs::create_directories(folder().path() / "eogs/rpcs/S");
+    for (const char* name : {"eogs/rpcs/S", "whu/rpc/0", "whu/rpc/1", "whu/height/0"})
+      fs::create_directories(folder().path() / name);
     return true;
   }();
   static_cast<void>(made);
   Bytes in(bytes);
-  const int layout = in.take<std::uint8_t>() % 3;
+  const int layout = in.take<std::uint8_t>() % 4;
   std::string root;
   if (layout == 0) {
     root = "nerf";
@@ -30,10 +33,15 @@ void run(std::string_view bytes) {
     root = "eogs";
     folder().put("eogs/rpcs/S/S_001_RGB.json", in.until('\0'));
     folder().put("eogs/rpcs/S/S_002_RGB.json", in.rest());
-  } else {
+  } else if (layout == 2) {
     root = "dfc";
     folder().put("dfc/Track3-Truth/S_DSM.txt", in.until('\0'));
     folder().put("dfc/Track3-RGB/S_001_RGB_RPC.TXT", in.rest());
+  } else {
+    root = "whu";
+    folder().put("whu/rpc/0/S.rpc", in.until('\0'));
+    folder().put("whu/rpc/1/S.rpc", in.until('\0'));
+    folder().put("whu/height/0/S.pfm", in.rest());
   }
   std::vector<std::string> scenes;
   only<IoError>([&] { scenes = scene::list_scenes(folder().path() / root); });

@@ -78,6 +78,12 @@ void data_sets() {
       "\2"
       "500000.0\n5000000.0\n8\n0.5\n" +
           std::string(1, '\0') + as_text(camera));
+  std::string whu = '\3' + as_whu(camera) + '\0' + as_whu(camera) + '\0' + "Pf\n8 8\n-1.0\n";
+  for (int pixel = 0; pixel < 8 * 8; ++pixel) {
+    const float height = 120 + 0.25F * static_cast<float>(pixel % 7);
+    whu.append(reinterpret_cast<const char*>(&height), sizeof height);
+  }
+  put("dataset", "whu", whu);
 }
 
 void tiles_and_changes() {
