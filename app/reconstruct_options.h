@@ -275,8 +275,8 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
       {"lowest, highest", "of the surface, m above the ellipsoid"},
       {"mean_confidence", "0 to 1"},
       {"image_correlation",
-       "-1 to 1, mean of every two images where they show the surface: of two surfaces made of the "
-       "same images the better one has more"},
+       "-1 to 1, mean of every two images where they show the surface: wrong cameras and heights "
+       "lower it; small differences decide nothing"},
       {"surfels", "how many"},
       {"images",
        "of each image: name, bands, type, rgb_bands (counted from 1), stretch (values that "

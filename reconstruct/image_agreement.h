@@ -11,7 +11,8 @@ namespace satsurf::reconstruct {
 /// What images that show a surface say of it and of one another.
 struct ImageAgreement {
   /// Mean correlation of the brightness of every two images, -1 to 1; 0 where no two show any of it.
-  /// Of two surfaces made of the same images the better one has more.
+  /// Wrong cameras and wrong heights lower it. Between two good surfaces of the same images it does
+  /// not decide: one that follows every crown and shadow may have a little more than a truer one.
   double correlation = 0;
   /// For each image the share of the ground that no other image confirms although two others
   /// confirm each other there: clouds and their shadows, snow, harvested fields, what was built in
