@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/from_above.h"
 #include "satsurf/app/legend.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/preview.h"
@@ -15,11 +16,9 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 namespace satsurf::app {
@@ -89,32 +88,10 @@ struct RenderCommand : RenderConfig {
   }
 };
 
-/// Smallest and largest element of one column of [P 3].
-std::pair<double, double> column_range(const Tensor& means, Index column) {
-  double low = INFINITY, high = -INFINITY;
-  for (Index i = column; i < means.count(); i += 3)
-    if (std::isfinite(means[i]))
-      low = std::min(low, static_cast<double>(means[i])),
-      high = std::max(high, static_cast<double>(means[i]));
-  return {low, high};
-}
-
-/// throws Error for a picture that is too large to render
-void check_cells(const std::string& where, Index width, Index height, const char* hint) {
-  constexpr Index kLargest = 1 << 28;  // a GeoTIFF of 1 GB
-  if (height > kLargest / width)
-    throw Error(where + std::to_string(width) + " x " + std::to_string(height) +
-                " pixels to render, expected fewer than " + std::to_string(kLargest) + hint);
-}
-
-/// The cells of a view from above, in the local frame.
-struct GridFromAbove {
-  scene::HeightField field;  ///< without heights
-  Index height = 0, width = 0;
-};
+/// The cells that --grid or --resolution ask for.
 /// throws  IoError for a --grid of another reference system
-GridFromAbove grid_from_above(const RenderConfig& options, const rpc::LocalFrame& frame,
-                              const Tensor& means) {
+GridFromAbove grid_of(const RenderConfig& options, const rpc::LocalFrame& frame,
+                      const splat::Surfels& surfels) {
   if (!options.grid.empty()) {
     const rpc::GeoRaster raster = rpc::read_geo_raster(options.grid);
     if (raster.grid.epsg != frame.zone.epsg())
@@ -127,12 +104,7 @@ GridFromAbove grid_from_above(const RenderConfig& options, const rpc::LocalFrame
         raster.values.dim(rank - 2),
         raster.values.dim(rank - 1)};
   }
-  const double step = options.resolution;
-  const auto [x_low, x_high] = column_range(means, 0);
-  const auto [y_low, y_high] = column_range(means, 1);
-  return {{{}, std::floor(x_low / step) * step, std::ceil(y_high / step) * step, step},
-          static_cast<Index>(std::ceil((y_high - y_low) / step)) + 1,
-          static_cast<Index>(std::ceil((x_high - x_low) / step)) + 1};
+  return grid_from_above(surfels, options.resolution);
 }
 
 /// Writes colours or heights, each as a GeoTIFF or as a PNG with world files.
@@ -177,14 +149,11 @@ void run_render(const RenderCommand& options) {
   const NoGrad no_grad;
   const splat::PlyContent content = splat::read_ply(options.surfels);
   const rpc::LocalFrame frame = frame_from_comments(content.comments, options.surfels.string());
-  const Tensor& means = content.surfels.means.value();
-  const auto [z_low, z_high] = column_range(means, 2);
-  const rpc::HeightRange z_range{z_low, z_high};
-  if (!(z_range.low <= z_range.high))
-    throw IoError(options.surfels.string() + ": no surfels, expected a surface");
+  const rpc::HeightRange z_range = heights_of(content.surfels, options.surfels.string());
 
   if (image) {
-    check_cells(options.image.string() + ": ", image->width, image->height, "");
+    check_rendered_size(options.image.string() + ": ", image->width, image->height, kRenderBytes,
+                        "crop the image");
     constexpr double kMargin = 1;  // m; a flat surface still needs a span to fit a camera over
     const rpc::Window whole{0, 0, static_cast<double>(image->width),
                             static_cast<double>(image->height)};
@@ -201,13 +170,8 @@ void run_render(const RenderCommand& options) {
     return rpc::write_rpc_geotiff(options.out, colour, rpc::PixelType::uint8, *image->rpc);
   }
 
-  const GridFromAbove above = grid_from_above(options, frame, means);
-  check_cells("render: ", above.width, above.height, "; give a larger --resolution");
-  const scene::HeightField& grid = above.field;
-  const auto render =
-      splat::render_view(content.surfels, splat::nadir_camera(grid.x0, grid.y0, grid.step),
-                         above.height, above.width, 1);
-  write_from_above(options, render, grid, frame);
+  const GridFromAbove above = grid_of(options, frame, content.surfels);
+  write_from_above(options, render_from_above(content.surfels, above), above.field, frame);
 }
 
 /// A flag takes the place of what the file says of where to look from.

@@ -12,11 +12,16 @@
 namespace satsurf::app {
 
 std::vector<std::string> frame_comments(const rpc::LocalFrame& frame) {
-  return {std::string("satsurf ") + program_version(),
-          "crs EPSG:" + std::to_string(frame.zone.epsg()),
-          fmt::format("origin {:.17g} {:.17g} {:.17g}", frame.easting0, frame.northing0, frame.h0),
-          "x east, y north, z up in m from the origin: easting, northing, height above the WGS84 "
-          "ellipsoid"};
+  return place_comments("EPSG:" + std::to_string(frame.zone.epsg()),
+                        {frame.easting0, frame.northing0, frame.h0}, "the WGS84 ellipsoid");
+}
+
+std::vector<std::string> place_comments(const std::string& crs, const std::array<double, 3>& origin,
+                                        const std::string& heights) {
+  return {std::string("satsurf ") + program_version(), "crs " + crs,
+          fmt::format("origin {:.17g} {:.17g} {:.17g}", origin[0], origin[1], origin[2]),
+          "x east, y north, z up in m from the origin: easting, northing, height" +
+              (heights.empty() ? std::string() : " above " + heights)};
 }
 
 rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,

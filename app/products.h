@@ -5,6 +5,7 @@
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/raycast.h"
 
+#include <array>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -13,6 +14,12 @@ namespace satsurf::app {
 
 /// The frame of a surfel or mesh file, as comment lines of its header.
 std::vector<std::string> frame_comments(const rpc::LocalFrame& frame);
+/// The same for any reference system.
+/// crs      "EPSG:32617"
+/// origin   easting, northing and height, m
+/// heights  what they are above, e.g. "the WGS84 ellipsoid"; empty if nobody knows
+std::vector<std::string> place_comments(const std::string& crs, const std::array<double, 3>& origin,
+                                        const std::string& heights);
 /// The inverse of `frame_comments`.
 /// where   begins the error text
 /// throws  IoError if the lines do not name a frame

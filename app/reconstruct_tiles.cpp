@@ -114,13 +114,8 @@ void print_plan(const Tiling& tiling, const scene::Survey& survey, const Reconst
 
 /// throws  Error where the system has less memory than the plan needs
 void check_memory(const Tiling& tiling) {
-  const auto available = static_cast<double>(available_memory());
-  const double held = static_cast<double>(tensor_bytes());
-  if (tiling.memory_bytes - held <= available) return;
-  throw Error(
-      fmt::format("tiles of {} px need about {} of memory, expected {} at most; "
-                  "--max-memory makes them smaller",
-                  tiling.window, memory_text(tiling.memory_bytes), memory_text(available)));
+  satsurf::check_memory(fmt::format("tiles of {} px need", tiling.window), tiling.memory_bytes,
+                        "--max-memory makes them smaller", static_cast<double>(tensor_bytes()));
 }
 
 /// What the tiles of a run depend on: a run that goes on with them must have the same.

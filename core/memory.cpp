@@ -30,6 +30,13 @@ std::string memory_text(double bytes) {
   return text;
 }
 
+void check_memory(const std::string& what, double bytes, const std::string& hint, double held) {
+  const auto available = static_cast<double>(available_memory());
+  if (bytes - held <= available) return;
+  throw Error(what + " about " + memory_text(bytes) + " of memory, expected " +
+              memory_text(available) + " at most; " + hint);
+}
+
 double memory_from_text(const std::string& text, const std::string& where) {
   constexpr std::array<std::pair<const char*, double>, 9> kUnits{{{"", 1},
                                                                   {"b", 1},

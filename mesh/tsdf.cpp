@@ -106,12 +106,10 @@ void mark_layers(LayerRanges& ranges, const Tsdf& field, const SampledView& view
 /// throws  Error if so many voxels do not fit into the memory
 void check_voxels(double voxels) {
   constexpr double kBytes = 12;  // a voxel, with what the surface is found with
-  const double need = kBytes * voxels, available = static_cast<double>(available_memory());
-  if (!(need > available)) return;
   char number[32];
   std::snprintf(number, sizeof number, "%.3g", voxels);
-  throw Error("fuse: " + std::string(number) + " voxels need about " + memory_text(need) +
-              " of memory, expected " + memory_text(available) + " at most; give larger voxels");
+  check_memory("fuse: " + std::string(number) + " voxels need", kBytes * voxels,
+               "give larger voxels");
 }
 
 /// Places the tiles over all that the views see.

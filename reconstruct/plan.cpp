@@ -219,16 +219,12 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
 }
 
 void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {
-  const auto available = static_cast<double>(available_memory());
-  // What the images take is taken already.
-  const double held = static_cast<double>(tensor_bytes());
-  if (plan.memory_bytes - held <= available) return;
   const auto times = [](Index a, Index b) { return std::to_string(a) + " x " + std::to_string(b); };
-  throw Error(std::to_string(scene.views.size()) + " windows of " +
-              times(plan.window, plan.window) + " px and a surface of " +
-              times(plan.width, plan.height) + " cells need about " +
-              memory_text(plan.memory_bytes) + " of memory, expected " + memory_text(available) +
-              " at most; give smaller images or a coarser resolution");
+  satsurf::check_memory(std::to_string(scene.views.size()) + " windows of " +
+                            times(plan.window, plan.window) + " px and a surface of " +
+                            times(plan.width, plan.height) + " cells need",
+                        plan.memory_bytes, "give smaller images or a coarser resolution",
+                        static_cast<double>(tensor_bytes()));  // the images are read
 }
 
 Index views_showing(const scene::Scene& scene, const std::array<double, 3>& p_in_local) {

@@ -413,10 +413,16 @@ succeeds "export fewer faces" "$satsurf" export --mesh out/mesh.ply --to few.glb
 holds "as many as allowed" bash -c 'read -r faces _ <stdout; [ "$faces" -le 500 ] && [ "$faces" -gt 100 ]'
 succeeds "export heights with colours" "$satsurf" export --dsm out/dsm.tif --ortho out/ortho.tif --to dsm.glb
 holds "they have colours" grep -qa COLOR_0 dsm.glb
-refuses "another format" 2 "expected a name ending in .glb" "$satsurf" export --mesh out/mesh.ply --to mesh.obj
+succeeds "export surfels" "$satsurf" export --surfels out/surfels.ply --to surfels.glb --resolution 1
+holds "they have colours too" grep -qa COLOR_0 surfels.glb
+succeeds "export surfels as PLY" "$satsurf" export --surfels out/surfels.ply --to surfels_mesh.ply --resolution 1
+holds "it names its place" grep -qa "^comment origin" surfels_mesh.ply
+succeeds "a mesh made of surfels is where that of the reconstruction is" "$satsurf" evaluate --mesh surfels_mesh.ply --reference-mesh out/mesh.ply
+refuses "a resolution of a mesh" 2 "requires --surfels" "$satsurf" export --mesh out/mesh.ply --resolution 1 --to no.glb
+refuses "another format" 2 "expected a name ending in .glb or .ply" "$satsurf" export --mesh out/mesh.ply --to mesh.obj
 refuses "an existing file" 1 "--to: mesh.glb exists; use --overwrite" "$satsurf" export --mesh out/mesh.ply --to mesh.glb
 refuses "colours of another grid" 1 "another grid, expected that of $truth" "$satsurf" export --dsm $truth --ortho out/ortho.tif --to no.glb
-refuses "nothing to export" 2 "--mesh or --dsm is required" "$satsurf" export --to no.glb
+refuses "nothing to export" 2 "--mesh, --dsm or --surfels is required" "$satsurf" export --to no.glb
 succeeds "render a view" "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --out view.tif
 succeeds "a rendered view has a camera" "$satsurf" info view.tif
 holds "namely the image's" grep -q "RPC (TIFF tag)" stdout
