@@ -181,6 +181,16 @@ Image open_part(const ViewSource& source, const F& choose) {
   return read_pixels(source.raster, *d, std::move(info), part);
 }
 
+/// Whether a path ends in a folder, whatever `..` it takes.
+bool leads_into(const fs::path& folder, const fs::path& path) {
+  std::error_code unknown;  // without a working folder nothing is found anyhow
+  const auto whole = [&](const fs::path& p) {
+    return fs::absolute(p.empty() ? "." : p, unknown).lexically_normal();
+  };
+  const fs::path inside = whole(path).lexically_relative(whole(folder));
+  return !inside.empty() && *inside.begin() != "..";
+}
+
 }  // namespace
 
 Image read_image(const fs::path& path, const std::optional<PixelWindow>& window) {
@@ -200,9 +210,14 @@ ViewSource find_view(const fs::path& path, const std::vector<fs::path>& image_di
   std::string tried;
   for (const fs::path& folder : folders) {
     const fs::path raster = folder / json.image;
+    if (std::ranges::none_of(folders, [&](const fs::path& f) { return leads_into(f, raster); }))
+      continue;
     if (path_exists(raster)) return {path, raster, std::move(json)};
     tried += (tried.empty() ? "" : ", ") + raster.string();
   }
+  if (tried.empty())
+    throw IoError(path.string() + ": its image \"" + json.image +
+                  "\" lies elsewhere, expected it in the folder of the file; name its folder");
   throw IoError(path.string() + ": its image \"" + json.image + "\" was not found, looked for " +
                 tried + "; name its folder");
 }

@@ -119,9 +119,11 @@ struct ViewSource {
   std::filesystem::path raster;     ///< where the pixels are
   std::optional<SatNerfJson> json;  ///< what the JSON says, if there is one
 };
+/// A JSON names images in its own folder and in those given, and in folders inside them, but nothing
+/// else on the machine: it may come from a stranger. Links are followed.
 /// path        of the raster or the JSON, which is read
 /// image_dirs  folders to look in for the JSON's image, after the JSON's own
-/// throws      IoError naming the places looked in for the image
+/// throws      IoError naming the places looked in for the image, and for one that lies elsewhere
 ViewSource find_view(const std::filesystem::path& path,
                      const std::vector<std::filesystem::path>& image_dirs = {});
 

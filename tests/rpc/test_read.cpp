@@ -458,7 +458,8 @@ TEST_CASE("what is no regular file is refused before anybody waits for it") {
   write_bytes(j, as_satnerf(test::synthetic_rpc(), "v.tif", 9, 7).dump());
   CHECK(error_of<IoError>([&] { open_view(j); }) == p + ": is a pipe, expected a raster");
   write_bytes(j, as_satnerf(test::synthetic_rpc(), "/dev/zero", 9, 7).dump());
-  CHECK(error_of<IoError>([&] { open_view(j); }) == "/dev/zero: is a device, expected a raster");
+  CHECK(error_of<IoError>([&] { open_view(j, {"/dev"}); }) ==
+        "/dev/zero: is a device, expected a raster");
   CHECK(error_of<IoError>([&] { read_info(folder.path()); }) ==
         folder.path().string() + ": is a folder, expected a raster");
 }
@@ -475,6 +476,16 @@ TEST_CASE("a view is a raster or a JSON that names one") {
   CHECK(error_of<IoError>([&] { open_view(p); }) ==
         p + ": its image \"v.tif\" was not found, looked for " + (folder / "v.tif").string() +
             "; name its folder");
+  for (const std::string& elsewhere : {tif.string(), std::string("../v.tif")}) {
+    const std::string stranger = (folder / "stranger/v.json").string();
+    std::filesystem::create_directories(folder / "stranger");
+    write_bytes(stranger, as_satnerf(adjusted, elsewhere, 9, 7).dump());
+    CHECK(error_of<IoError>([&] { open_view(stranger); }) ==
+          stranger + ": its image \"" + elsewhere +
+              "\" lies elsewhere, expected it in the folder of the file; name its folder");
+    if (elsewhere == tif.string())
+      CHECK(find_view(stranger, {(folder / "images").string() + "/"}).raster == tif);
+  }
   const Image view = open_view(p, {folder / "elsewhere", folder / "images"});
   CHECK(*view.info.rpc == adjusted);
   CHECK(view.info.rpc_source == "Sat-NeRF JSON");
