@@ -83,7 +83,9 @@ void run_evaluate_dsm(const EvaluateDsmCommand& options, const EvaluateOutput& o
     cameras.push_back({*info.rpc, info.width, info.height});
     inputs.insert(inputs.end(), info.files.begin(), info.files.end());
   }
-  check_output_file("--error-map", options.error_map, output.overwrite, inputs);
+  if (!options.error_map.empty())
+    for (const fs::path& file : map_files(options.error_map))
+      check_output_file("--error-map", file, output.overwrite, inputs);
   check_output_file("--json", output.json, output.overwrite, inputs);
   check_distinct({options.error_map, output.json});
   const evaluate::DsmPair pair = evaluate::load_dsm_pair(options.dsm, options.truth);

@@ -145,7 +145,8 @@ void run_render(const RenderCommand& options) {
   std::vector<fs::path> inputs = image ? image->files : std::vector<fs::path>();
   inputs.push_back(options.surfels);
   inputs.push_back(options.grid);
-  check_output_file("--out", options.out, options.overwrite, inputs);
+  for (const fs::path& file : png && !image ? map_files(options.out) : std::vector{options.out})
+    check_output_file("--out", file, options.overwrite, inputs);
   const NoGrad no_grad;
   const splat::PlyContent content = splat::read_ply(options.surfels);
   const rpc::LocalFrame frame = frame_from_comments(content.comments, options.surfels.string());

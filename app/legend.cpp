@@ -164,10 +164,16 @@ void write_map(const std::filesystem::path& path, const Tensor& picture, const C
   write_world_files(path, grid);
 }
 
-void write_world_files(const std::filesystem::path& path, const rpc::GeoGrid& grid) {
-  std::filesystem::path world = path, crs = path;
+std::vector<std::filesystem::path> map_files(const std::filesystem::path& picture) {
+  std::filesystem::path world = picture, crs = picture;
   world.replace_extension(".pgw");
   crs += ".aux.xml";
+  return {picture, world, crs};
+}
+
+void write_world_files(const std::filesystem::path& path, const rpc::GeoGrid& grid) {
+  const auto files = map_files(path);
+  const std::filesystem::path &world = files[1], &crs = files[2];
   // a world file names the centre of the first pixel
   atomic_write(world, fmt::format("{0:.12g}\n0\n0\n{1:.12g}\n{2:.12g}\n{3:.12g}\n", grid.step,
                                   -grid.step, grid.x0 + grid.step / 2, grid.y0 - grid.step / 2));

@@ -6,6 +6,7 @@
 
 #include <filesystem>
 #include <string>
+#include <vector>
 
 namespace satsurf::app {
 
@@ -26,8 +27,11 @@ void draw_text(Tensor& picture, Index x, Index y, Index size, const std::string&
 /// Width of such a text, px.
 Index text_width(const std::string& text, Index size);
 
-/// Writes what other programs place a picture with: a world file (.pgw), and the reference system
-/// (.png.aux.xml, as GDAL has it) where one is known.
+/// The files of a picture that has a place: itself, a world file (.pgw), and the reference system
+/// (.png.aux.xml, as GDAL has it).
+std::vector<std::filesystem::path> map_files(const std::filesystem::path& picture);
+/// Writes what other programs place a picture with: a world file, and the reference system where one is
+/// known.
 /// path    of the picture
 /// grid    of its pixels
 /// throws  IoError

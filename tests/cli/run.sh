@@ -404,7 +404,8 @@ succeeds "render colours on it" "$satsurf" render --surfels out/surfels.ply --na
 succeeds "they have its system" "$satsurf" info colours.tif
 holds "namely UTM" grep -qE "georeference +EPSG:32[67]" stdout
 holds "a picture from above has a world file" test "$(wc -l <above.pgw)" -eq 6
-cp out/height.pgw map.pgw
+cp above.pgw lone.pgw
+refuses "a world file in the way" 1 "--out: lone.pgw exists; use --overwrite" "$satsurf" render --surfels out/surfels.ply --nadir --out lone.png
 holds "so have the maps of a surface" test -s out/confidence.png.aux.xml
 refuses "a grid without a place" 1 "SIM_001_001_RGB.tif" "$satsurf" render --surfels out/surfels.ply --nadir --grid "${images[0]}" --out no.tif
 succeeds "export a mesh" "$satsurf" export --mesh out/mesh.ply --to mesh.glb
