@@ -21,6 +21,7 @@ import sys
 import tempfile
 import threading
 import time
+import zlib
 from pathlib import Path
 
 SECONDS, BYTES, PER_BYTE = 2.0, 200e6, 20
@@ -253,6 +254,14 @@ class Lies:
 
     def _info(self, stem, **changes):
         return ["info", image_with_camera(stem, **changes)], stem
+
+    def picture_size(self):
+        """30,000 pixels a side in 1 kB."""
+        chunk = lambda name, d: struct.pack(">I", len(d)) + name + d + struct.pack(">I", zlib.crc32(name + d))
+        Path("huge.png").write_bytes(
+            b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", 30000, 30000, 8, 2, 0, 0, 0)) +
+            chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b""))
+        return ["evaluate", "--image", "huge.png", "--reference", "huge.png"], "huge.png: 30000 x 30000 px"
 
     def camera_latitude(self):
         return self._info("latitude", LAT_OFF=95)

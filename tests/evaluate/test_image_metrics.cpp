@@ -160,6 +160,14 @@ TEST_CASE("read_picture") {
     write_png(folder / "whole.png", noise({3, 40, 40}, 5));
     const std::string bytes = test::read_bytes(folder / "whole.png");
     test::write_bytes(folder / "cut.png", bytes.substr(0, bytes.size() / 2));
+    std::string huge = bytes;  // says to be 30,000 px a side; the check sum of that is right
+    huge.replace(16, 17, std::string("\0\0\x75\x30\0\0\x75\x30\x08\x02\0\0\0\xe9\x45\x6f\xed", 17));
+    test::write_bytes(folder / "huge.png", huge);
+    CHECK(refusal("huge.png")
+              .starts_with(at + "huge.png: 30000 x 30000 px with 3 channels in a file"));
+    test::write_bytes(folder / "movie.png", "GIF89a" + std::string(100, '\0'));
+    CHECK(refusal("movie.png") ==
+          at + "movie.png: of another format, expected a PNG, JPEG or TIFF picture");
     for (const std::string name : {"text.png", "empty.tif", "six.tif", "cut.png"}) {
       const std::string text = refusal(name);
       CAPTURE(text);

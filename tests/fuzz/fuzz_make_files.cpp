@@ -103,6 +103,7 @@ void rasters() {
                            {{"SUN_ELEVATION", "40"}, {"ACQUISITION_DATE", "2015-09-30"}});
   });
   put("raster", "rpc_tif", image);
+  put("picture", "tiff", image);
   put("raster", "rpc_tif_16", written("j.tif", [&](const fs::path& p) {
         rpc::write_rpc_geotiff(p, ramp({1, 8, 8}), rpc::PixelType::uint16, camera);
       }));
@@ -135,6 +136,8 @@ void rasters() {
     if (GDALDataset* c = driver->CreateCopy(copy.c_str(), d, FALSE, nullptr, nullptr, nullptr)) {
       GDALClose(c);
       put("raster", format, bytes_of(copy));
+      if (format == std::string("PNG") || format == std::string("JPEG"))
+        put("picture", format, bytes_of(copy));
     }
     CPLPopErrorHandler();
   }

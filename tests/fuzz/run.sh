@@ -17,7 +17,7 @@ case ${1:-} in
 esac
 # Those that need readers alone, and those that make something of what was read.
 readers='safetensors surfels_ply mesh_ply pointing camera_file satnerf raster sidecar dfc_grid area'
-others='weights json tile dataset cameras scene'
+others='weights json tile dataset cameras scene picture'
 known=$readers\ $others
 targets=${*:-$known}
 [ "$targets" = readers ] && targets=$readers
