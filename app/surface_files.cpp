@@ -3,6 +3,7 @@
 
 #include "satsurf/app/products.h"
 #include "satsurf/core/files.h"
+#include "satsurf/core/parallel.h"
 #include "satsurf/rpc/geoid.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/rpc/warp.h"
@@ -10,6 +11,8 @@
 #include "satsurf/splat/select.h"
 
 #include <algorithm>
+#include <array>
+#include <functional>
 #include <string>
 #include <utility>
 
@@ -81,14 +84,24 @@ void write_surface(const fs::path& folder, const reconstruct::Reconstruction& ma
   Tensor heights = made.dsm.z.clone();
   if (datum != rpc::HeightDatum::ellipsoid)
     rpc::refer_to_geoid(heights, geo_grid(made.dsm, frame), datum);
-  write_field(folder / "dsm.tif", heights, made.dsm, frame, frame.h0, tags.heights);
-  write_field(folder / "confidence.tif", made.confidence, made.dsm, frame, 0, tags.confidence);
-  write_field(folder / "views.tif", visibility.views, made.dsm, frame, 0, tags.views);
-  if (!made.sigma.empty())
-    write_field(folder / "height_sigma.tif", made.sigma, made.dsm, frame, 0, tags.sigma);
-  splat::write_ply(folder / "surfels.ply",
-                   most_surfels > 0 ? splat::thinned(made.surfels, most_surfels) : made.surfels,
-                   frame_comments(frame));
+  const auto raster = [&](const char* name, const Tensor& values, double offset,
+                          const rpc::GeoTags& of) {
+    if (!values.empty()) write_field(folder / name, values, made.dsm, frame, offset, of);
+  };
+  // Each is packed or formatted by one thread; the longest comes first.
+  const std::array<std::function<void()>, 5> files{
+      [&] {
+        splat::write_ply(
+            folder / "surfels.ply",
+            most_surfels > 0 ? splat::thinned(made.surfels, most_surfels) : made.surfels,
+            frame_comments(frame));
+      },
+      [&] { raster("dsm.tif", heights, frame.h0, tags.heights); },
+      [&] { raster("confidence.tif", made.confidence, 0, tags.confidence); },
+      [&] { raster("height_sigma.tif", made.sigma, 0, tags.sigma); },
+      [&] { raster("views.tif", visibility.views, 0, tags.views); }};
+  for_each_index(static_cast<Index>(files.size()),
+                 [&](Index i) { files[static_cast<std::size_t>(i)](); });
 }
 
 void write_ortho(const fs::path& file, const reconstruct::Reconstruction& made,
