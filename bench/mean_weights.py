@@ -1,13 +1,17 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""The mean of the cascades of two weights files in half precision; all else is the first file's.
+"""The cascades of two weights files averaged, in half precision; all else is the first file's.
 
-  bench/mean_weights.py A.safetensors B.safetensors OUT.safetensors
+  bench/mean_weights.py A.safetensors B.safetensors OUT.safetensors [SHARE]
+
+SHARE is B's, 0.5 if left out; with 1 it is B's cascade beside A's surface network. A is in half precision, B may be in either.
 """
 import json
 import struct
 import sys
 from pathlib import Path
+
+FORMS = {"F16": ("e", 2), "F32": ("f", 4)}
 
 
 def load(path):
@@ -17,24 +21,27 @@ def load(path):
     return content[:end], json.loads(content[8:end]), bytearray(content[end:])
 
 
-def main(first, second, out):
+def values_of(entry, data):
+    letter, size = FORMS[entry["dtype"]]
+    begin, end = entry["data_offsets"]
+    return struct.unpack(f"<{(end - begin) // size}{letter}", data[begin:end])
+
+
+def main(first, second, out, share):
     head, entries, data = load(first)
     _, others, other_data = load(second)
     for name, entry in entries.items():
         if not name.startswith("model."):
             continue
-        if any(entry[key] != others[name][key] for key in ("dtype", "shape")) or entry["dtype"] != "F16":
-            sys.exit(f"{name}: {entry['dtype']} {entry['shape']} and {others[name]['dtype']} {others[name]['shape']}, "
-                     "expected F16 of one shape")
-        begin, end = entry["data_offsets"]
-        form = f"<{(end - begin) // 2}e"
-        a = struct.unpack(form, data[begin:end])
-        b = struct.unpack(form, other_data[slice(*others[name]["data_offsets"])])
-        data[begin:end] = struct.pack(form, *((x + y) / 2 for x, y in zip(a, b)))
+        other = others.get(name)
+        if other is None or entry["shape"] != other["shape"] or entry["dtype"] != "F16" or other["dtype"] not in FORMS:
+            sys.exit(f"{name}: {entry} and {other}, expected one shape, F16 in the first file and F16 or F32 in the second")
+        mean = [(1 - share) * x + share * y for x, y in zip(values_of(entry, data), values_of(other, other_data))]
+        data[slice(*entry["data_offsets"])] = struct.pack(f"<{len(mean)}e", *mean)
     Path(out).write_bytes(head + data)
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 4:
+    if len(sys.argv) not in (4, 5):
         sys.exit(__doc__)
-    main(*sys.argv[1:])
+    main(*sys.argv[1:4], float(sys.argv[4]) if len(sys.argv) == 5 else 0.5)
