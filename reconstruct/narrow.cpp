@@ -131,16 +131,19 @@ std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& h
 
 }  // namespace
 
+double span_of_hypotheses(const nn::ModelConfig& config, const scene::Scene& scene) {
+  constexpr double kApart = 0.8;  // stage pixels
+  return kApart * static_cast<double>(nn::kStrides[0] * config.hypotheses[0]) /
+         most_parallax(scene);
+}
+
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
                                 const std::function<void()>& poll,
                                 const std::function<Tensor(const Grid&)>& unwanted) {
-  constexpr double kApart = 0.5;  // stage pixels between the first stage's hypotheses
   constexpr int kLooks = 3;
   constexpr std::size_t kFewest = 200;
   constexpr double kBelow = 10, kAbove = 20;  // m
-  const double hypotheses = static_cast<double>(model.config().hypotheses[0]),
-               stride = static_cast<double>(nn::kStrides[0]),
-               most = kApart * stride * hypotheses / most_parallax(scene);
+  const double most = span_of_hypotheses(model.config(), scene);
   if (scene.z_range.span() <= most) return scene.z_range;
 
   Index largest = 0;
@@ -166,8 +169,11 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
                        nn::effective_confidence(model.config(), stages[2]), left_out);
     if (agreed.size() < kFewest) break;
     const rpc::HeightRange found = scene::believable_span(std::move(agreed), range);
-    const rpc::HeightRange next{std::max(range.low, found.low - kBelow),
-                                std::min(range.high, found.high + kAbove)};
+    rpc::HeightRange next{std::max(range.low, found.low - kBelow),
+                          std::min(range.high, found.high + kAbove)};
+    // What the hypotheses span anyway costs nothing, and towers, few pixels and tall, may be there.
+    next.high = std::min(range.high, std::max(next.high, next.low + most));
+    next.low = std::max(range.low, std::min(next.low, next.high - most));
     const bool done = next.span() > 0.9 * range.span();
     small.z_range = next;
     if (done) break;

@@ -9,13 +9,18 @@
 
 namespace satsurf::reconstruct {
 
+/// Heights, m, that the first stage's hypotheses span when they are 0.8 stage pixels of parallax apart, in the pair of
+/// views with the most of it: closer they would not see more, further apart they miss surfaces.
+double span_of_hypotheses(const nn::ModelConfig& config, const scene::Scene& scene);
+
 /// Heights that a scene's surface lies between, of a range that may be far too generous: the first
 /// stage shares its hypotheses out over all of it, and what it wastes on empty air it lacks on the
-/// surface. Where they would be more than half a stage pixel of parallax apart, the images are
-/// looked at in a quarter of their resolution or less first, up to three times, and the range that
-/// remains is the believable span (`scene::believable_span`) of the heights on which two views
-/// agree there, with a margin of 20 m above and 10 m below. Else, or where hardly anything agrees,
-/// it is the scene's own range.
+/// surface. Where the range is more than `span_of_hypotheses`, the images are looked at in a quarter
+/// of their resolution or less first, up to three times, and the range that remains is the
+/// believable span (`scene::believable_span`) of the heights on which two views agree there, with a
+/// margin of 20 m above and 10 m below, and with what the hypotheses can span besides, upwards
+/// first: towers are too few pixels to be sure to show. Else, or where hardly anything agrees, it is
+/// the scene's own range.
 /// poll      called between layers, may throw to stop
 /// unwanted  ground on which heights do not count, see ReconstructOptions; may be empty
 /// returns   a part of `scene.z_range`, local m

@@ -3,6 +3,7 @@
 #include "satsurf/reconstruct/narrow.h"
 #include "satsurf/scene/height_range.h"
 
+#include <algorithm>
 #include <vector>
 
 #include "tests/reconstruct/simulated.h"
@@ -40,8 +41,23 @@ TEST_CASE("a height range that is far too generous is narrowed to what holds the
     CHECK(found.high <= whole.high);
     CHECK(found.low <= truth.low);
     CHECK(found.high >= truth.high);
-    CHECK(found.span() < truth.span() + 60);
+    const double spanned = span_of_hypotheses(model.config(), scene);
+    CHECK(found.span() > 0.999 * spanned);  // nothing is given away that costs nothing
+    CHECK(found.span() < std::max(spanned, truth.span() + 30) + 1);
   }
+}
+
+TEST_CASE("a range is left alone as far as the hypotheses span it") {
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  scene::Scene scene = village_scene(96, test::range_of(test::village(96, 3)));
+  const double spanned = span_of_hypotheses(model.config(), scene);
+  scene.z_range.high = scene.z_range.low + 0.999 * spanned;
+  int asked = 0;
+  CHECK(narrowed_range(model, scene, [&] { ++asked; }) == scene.z_range);
+  CHECK(asked == 0);
+  scene.z_range.high = scene.z_range.low + 1.1 * spanned;
+  narrowed_range(model, scene, [&] { ++asked; });
+  CHECK(asked > 0);
 }
 
 TEST_CASE("the believable span leaves out what chance finds") {
