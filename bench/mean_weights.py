@@ -5,6 +5,7 @@
   bench/mean_weights.py A.safetensors B.safetensors OUT.safetensors [SHARE]
 
 SHARE is B's, 0.5 if left out; with 1 it is B's cascade beside A's surface network. A is in half precision, B may be in either.
+The metadata are A's, and under "mean_with" the share, and where B comes from.
 """
 import json
 import struct
@@ -15,10 +16,10 @@ FORMS = {"F16": ("e", 2), "F32": ("f", 4)}
 
 
 def load(path):
-    """The header's bytes, the header, the data."""
+    """The header and the data."""
     content = Path(path).read_bytes()
     end = 8 + struct.unpack("<Q", content[:8])[0]
-    return content[:end], json.loads(content[8:end]), bytearray(content[end:])
+    return json.loads(content[8:end]), bytearray(content[end:])
 
 
 def values_of(entry, data):
@@ -28,8 +29,10 @@ def values_of(entry, data):
 
 
 def main(first, second, out, share):
-    head, entries, data = load(first)
-    _, others, other_data = load(second)
+    entries, data = load(first)
+    others, other_data = load(second)
+    about, of_other = entries.setdefault("__metadata__", {}), others.get("__metadata__", {})
+    about["mean_with"] = json.dumps({"share": share} | {key: of_other.get(key, "") for key in ("git", "seed", "step", "version")})
     for name, entry in entries.items():
         if not name.startswith("model."):
             continue
@@ -38,7 +41,9 @@ def main(first, second, out, share):
             sys.exit(f"{name}: {entry} and {other}, expected one shape, F16 in the first file and F16 or F32 in the second")
         mean = [(1 - share) * x + share * y for x, y in zip(values_of(entry, data), values_of(other, other_data))]
         data[slice(*entry["data_offsets"])] = struct.pack(f"<{len(mean)}e", *mean)
-    Path(out).write_bytes(head + data)
+    header = json.dumps(entries, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)  # tensors begin at a whole word
+    Path(out).write_bytes(struct.pack("<Q", len(header)) + header + data)
 
 
 if __name__ == "__main__":
