@@ -30,7 +30,8 @@ class Stream {
   Index first(Index sample) const { return sample / uses_; }
   Index pool() const { return pool_; }
   /// A thing by its number: the same one whenever it is asked for, by any thread. It is made by the
-  /// first who asks, on the threads that one has; those far behind are forgotten.
+  /// first who asks, on the threads that one has; those that no sample of its step wants any more
+  /// are forgotten.
   /// throws  what `make` throws
   std::shared_ptr<const Item> item(Index number) {
     std::promise<std::shared_ptr<const Item>> promise;
@@ -39,7 +40,7 @@ class Stream {
     {
       const std::lock_guard lock(mutex_);
       // A sample of the same step may still want one that the newest sample no longer does.
-      items_.erase(items_.begin(), items_.lower_bound(number - 2 * pool_));
+      items_.erase(items_.begin(), items_.lower_bound(number - pool_ - kMostOfAStep / uses_));
       is_new = !items_.contains(number);
       if (is_new) items_[number] = promise.get_future().share();
       made = items_[number];
@@ -55,6 +56,7 @@ class Stream {
 
  private:
   using Made = std::shared_future<std::shared_ptr<const Item>>;
+  static constexpr Index kMostOfAStep = 64;  ///< samples
 
   Index uses_, pool_;
   std::function<Item(Index)> make_;

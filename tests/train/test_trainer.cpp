@@ -8,12 +8,15 @@
 #include "satsurf/scene/simulate/scene.h"
 #include "satsurf/train/loss.h"
 #include "satsurf/train/mono_trainer.h"
+#include "satsurf/train/stream.h"
 #include "satsurf/train/trainer.h"
 
 #include <algorithm>
 #include <cmath>
 #include <fstream>
 #include <iterator>
+#include <set>
+#include <utility>
 
 #include "tests/temp_folder.h"
 #include "tests/train/train_in_folder.h"
@@ -237,7 +240,7 @@ TEST_CASE("without a data set scenes are made up on the way, the same after an i
   CHECK(scenes.item(2) == third);
   CHECK(third->views.size() == 4);
   REQUIRE(third->truth.has_value());
-  scenes.item(20);  // far behind now
+  scenes.item(40);  // far behind now
   const auto again = scenes.item(2);
   CHECK(again != third);
   CHECK(std::ranges::equal(again->views[0].rgb.values(), third->views[0].rgb.values()));
@@ -246,6 +249,37 @@ TEST_CASE("without a data set scenes are made up on the way, the same after an i
                        "train: simulate.views is 3, expected more than views, which is 3: one view "
                        "is the target",
                        ConfigError);
+}
+
+TEST_CASE(
+    "a stream makes nothing twice for the samples of a step, and keeps no more than they want") {
+  for (const auto& [uses, pool] : {std::pair<Index, Index>{1, 5}, {4, 8}, {64, 3}, {100, 24}}) {
+    CAPTURE(uses);
+    Index living = 0, most = 0;
+    std::set<Index> made;
+    struct Thing {
+      Index* living;
+      Thing(Index* l) : living(l) { ++*living; }
+      Thing(Thing&& other) noexcept : living(std::exchange(other.living, nullptr)) {}
+      ~Thing() {
+        if (living != nullptr) --*living;
+      }
+    };
+    Stream<Thing> stream(uses, pool, [&](Index number) {
+      CHECK(made.insert(number).second);
+      return Thing(&living);
+    });
+    constexpr Index kBatch = 64, kSteps = 30;
+    for (Index step = 0; step < kSteps; ++step)
+      for (const bool newest :
+           {true, false})  // in the worst order: what is ahead is asked for first
+        for (Index b = kBatch; b-- > 0;) {
+          const Index first = stream.first(step * kBatch + b);
+          stream.item(newest ? first + pool - 1 : first);
+          most = std::max(most, living);
+        }
+    CHECK(most <= pool + kBatch / uses + 1);
+  }
 }
 
 TEST_CASE("training lowers the error on samples it has not seen") {
