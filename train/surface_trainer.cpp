@@ -149,21 +149,23 @@ StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& 
   Tensor weight = lesson.weight.clone();
   for (Index i = 0; i < P; ++i) {
     bool any = false;
-    for (Index k = 0; k < nn::kSurfaceCandidates; ++k)
-      any = any || std::isfinite(lesson.input.candidates[k * P + i]);
+    for (Index k = 0; k < out.candidates.dim(0); ++k)
+      any = any || std::isfinite(out.candidates[k * P + i]);
     if (!any) weight[i] = 0;
   }
   const Var height =
-      chosen_height(out.logits, out.residual, lesson.input.candidates, nn::kSurfaceReach * unit);
-  Var total = laplace_loss(height, out.log_scale, lesson.truth, weight, unit);
+      chosen_height(out.logits, out.residual, out.candidates, nn::kSurfaceReach * unit);
+  // The likelihood pulls a height the harder the surer the network is: the last centimetres of level
+  // ground would drown what is ten metres off. So it teaches the expected error alone.
+  Var total = laplace_loss(Var(height.value()), out.log_scale, lesson.truth, weight, unit);
   if (config.distance_weight > 0)
     total = total +
             affine(laplace_loss(height, Var(Tensor(height.shape())), lesson.truth, weight, unit),
                    static_cast<float>(config.distance_weight), 0.f);
   if (config.choice_weight > 0)
-    total = total + affine(candidate_cross_entropy(out.logits, lesson.input.candidates,
-                                                   lesson.truth, weight, unit),
-                           static_cast<float>(config.choice_weight), 0.f);
+    total = total +
+            affine(candidate_cross_entropy(out.logits, out.candidates, lesson.truth, weight, unit),
+                   static_cast<float>(config.choice_weight), 0.f);
   const auto candidate = [&](nn::SurfaceCandidate c) {
     return lesson.input.candidates.data() + static_cast<Index>(c) * P;
   };

@@ -23,7 +23,7 @@ struct SurfaceTrainConfig : TrainingSettings {
   Index batch = 4;                   ///< windows per step, each on a thread of its own
   Index views_most = 5;              ///< images of a reconstruction, which has two or more
   double range_jitter = 0.3;         ///< random widening of the height range, share of its span
-  double distance_weight = 0.3;      ///< of the mean distance; that of the likelihood is 1
+  double distance_weight = 1;        ///< of the mean distance; that of the likelihood is 1
   double choice_weight = 0.3;        ///< of the cross-entropy of the candidates
   scene::SimulateConfig simulate{};  ///< scenes made up on the way, where no data set is given
   Index scene_uses = 16;             ///< samples of each reconstruction
