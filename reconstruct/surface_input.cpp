@@ -209,11 +209,9 @@ std::vector<Occlusion> occlusions_of(const Tensor& candidates, const FusionGrid&
                z = known > 0 ? sum / known : 0;
   std::vector<Occlusion> out;
   for (std::size_t v = 0; v < count; ++v) {
-    // up the ray that stays in its pixel
-    const auto [px, py] = images[v].pixel_from_local.jacobian(x, y, z);
-    const double det = px[0] * py[1] - px[1] * py[0];
-    const std::array to_camera{(px[1] * py[2] - py[1] * px[2]) / det,
-                               (py[0] * px[2] - px[0] * py[2]) / det};
+    const auto pixel = images[v].pixel_from_local(x, y, z);
+    const auto ray = images[v].local_from_pixel.jacobian(pixel[0], pixel[1], z);
+    const std::array to_camera{ray[0][2], ray[1][2]};
     out.push_back({horizon(modes, grid.step, to_camera), horizon(low, grid.step, to_camera)});
   }
   return out;
