@@ -218,7 +218,7 @@ std::vector<Occlusion> occlusions_of(const Tensor& candidates, const FusionGrid&
 }
 
 /// How much of a point is seen above a horizon.
-double sight(double z, float horizon, double interval) {
+double seen_share(double z, float horizon, double interval) {
   return std::clamp(1 + (z - static_cast<double>(horizon)) / interval, 0.0, 1.0);
 }
 
@@ -226,7 +226,7 @@ double sight(double z, float horizon, double interval) {
 
 nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
                                const SurfelEvidence& evidence, const FusionGrid& grid,
-                               const std::vector<nn::PosedImage>& images) {
+                               const std::vector<nn::PosedImage>& images, bool sight) {
   Dims dim("surface_input");
   dim.match("means", means, "P 3").match("confidence", confidence, "P");
   dim.match("weight", evidence.weight, "P").match("rays", evidence.rays, "P 2");
@@ -268,16 +268,18 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
   constexpr Index kNear = 4, kFar = 16;  // blocks
   spread_over_cells(grown(blocks.median, kGrow), blocks.side, grid,
                     candidate + at(SurfaceCandidate::around) * P);
-  for (const auto& [level, reach] :
-       {std::pair{SurfaceCandidate::ground, kNear}, std::pair{SurfaceCandidate::valley, kFar}})
+  const auto put_level = [&](SurfaceCandidate level, Index reach) {
     spread_over_cells(
         of_neighbours(blocks.low, reach,
                       [](std::vector<float>& known, float) { return quantile(known, 0.1); }),
         blocks.side, grid, candidate + at(level) * P);
+  };
+  put_level(SurfaceCandidate::ground, kNear);
+  if (sight) put_level(SurfaceCandidate::valley, kFar);
 
   const Appearance appearance(images);
-  const std::vector<Occlusion> hidden =
-      occlusions_of(out.candidates, grid, appearance.count(), images);
+  std::vector<Occlusion> hidden;
+  if (sight) hidden = occlusions_of(out.candidates, grid, appearance.count(), images);
   for_each_index(H, [&](Index i) {
     std::array<Look, kMostImages> looks{};
     const double y = grid.north - (static_cast<double>(i) + 0.5) * grid.step;
@@ -294,8 +296,10 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
           for (std::size_t v = 0; v < appearance.count(); ++v) {
             Look& look = looks[n];
             if (!appearance.look(v, x, y, z, k == shown, look)) continue;
-            look.open = sight(z, hidden[v].surely[cell], grid.interval);
-            seen += sight(z, hidden[v].by_modes[cell], grid.interval), open += look.open;
+            if (sight) {
+              look.open = seen_share(z, hidden[v].surely[cell], grid.interval);
+              seen += seen_share(z, hidden[v].by_modes[cell], grid.interval), open += look.open;
+            }
             ++n;
           }
         const Disagreement d = disagreement_of(looks, n);
@@ -304,9 +308,11 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
         };
         put_for(SurfacePlane::disagreement, d.mean);
         put_for(SurfacePlane::best_pair, d.best);
-        put_for(SurfacePlane::seen, 0.25 * seen);
-        put_for(SurfacePlane::open, 0.25 * open);
-        put_for(SurfacePlane::unhidden, d.unhidden);
+        if (sight) {
+          put_for(SurfacePlane::seen, 0.25 * seen);
+          put_for(SurfacePlane::open, 0.25 * open);
+          put_for(SurfacePlane::unhidden, d.unhidden);
+        }
         if (k != shown || n == 0) continue;
         std::array<double, 3> mean{};
         double darkest = INFINITY, brightest = -INFINITY;

@@ -23,9 +23,11 @@ namespace satsurf::reconstruct {
 /// as a twentieth of a pair that differs by 1.
 /// means, confidence, evidence, grid  as `fuse_surfels`
 /// images  whole, with their cameras
+/// sight   whether the network wants what `nn::SurfaceConfig::sight` names; without, `valley` is
+///         unknown and the planes of sight are 0
 /// throws  ShapeError
 nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
                                const SurfelEvidence& evidence, const FusionGrid& grid,
-                               const std::vector<nn::PosedImage>& images);
+                               const std::vector<nn::PosedImage>& images, bool sight);
 
 }  // namespace satsurf::reconstruct

@@ -66,7 +66,8 @@ SurfaceLesson lesson_of(const SurfaceTrainConfig& config, const std::vector<nn::
       rng.uniform(0, 1) < 0.5 ? scene.truth->step : rng.uniform(0.6, 1) * scene.truth->step;
   const nn::Model& cascade =
       cascades[static_cast<std::size_t>(rng.below(static_cast<Index>(cascades.size())))];
-  reconstruct::UnrefinedSurface made = reconstruct::unrefined_surface(cascade, scene, how);
+  reconstruct::UnrefinedSurface made =
+      reconstruct::unrefined_surface(cascade, scene, how, config.surface.sight);
   SurfaceLesson lesson;
   add_truth(scene, made, lesson);
   lesson.input = std::move(made.input);

@@ -43,7 +43,8 @@ struct MadeUp {
   nn::SurfaceInput made() const {
     const Index n = std::ssize(confidences);
     return surface_input(Tensor::from({n, 3}, places), Tensor::from({n}, confidences),
-                         {Tensor::from({n}, confidences), Tensor({n, 2})}, grid, input.sources);
+                         {Tensor::from({n}, confidences), Tensor({n, 2})}, grid, input.sources,
+                         true);
   }
   Index cell(double x, double y) const {
     return static_cast<Index>((grid.north - y) / grid.step) * grid.width +
