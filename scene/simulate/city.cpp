@@ -3,6 +3,7 @@
 
 #include "satsurf/core/parallel.h"
 #include "satsurf/scene/simulate/layout.h"
+#include "satsurf/scene/simulate/natural.h"
 #include "satsurf/scene/simulate/noise.h"
 #include "satsurf/scene/simulate/texture.h"
 
@@ -48,6 +49,7 @@ class Painter {
     lane_colour_ =
         r.chance(0.4) ? Colour{0.13f, 0.13f, 0.132f}
                       : Colour{1.25f * wild_soil_[0], 1.25f * wild_soil_[1], 1.25f * wild_soil_[2]};
+    if (layout.plan.dark) dark_ = DarkGround(layout.plan, rng.fork(3));
   }
 
   void run() {
@@ -106,7 +108,12 @@ class Painter {
         1 + extra +
         uneven * (grain + t.fine * fine_[k] + t.middle * middle_[k] + t.wide * wide_[k]);
     SurfaceCell& cell = city_.cells[static_cast<std::size_t>(k)];
-    cell.set_albedo(c, f);
+    Colour shown = c;
+    if (layout_.plan.dark) {
+      const float dark = dark_.factor(k, z, steepness(i, j), m);
+      for (float& a : shown) a *= dark;
+    }
+    cell.set_albedo(shown, f);
     cell.material = m;
     cell.part = part;
     cell.plant = plant;
@@ -394,6 +401,7 @@ class Painter {
   Tensor fine_, middle_, wide_;
   float rock_share_, green_share_, bumps_;
   Colour wild_soil_{}, wild_rock_{}, wild_grass_{}, lane_colour_{};
+  DarkGround dark_;
 };
 
 }  // namespace

@@ -75,6 +75,8 @@ CityPlan draw_plan(const SimulateConfig& config, Rng& rng) {
       break;
   }
   plan.water = rng.chance(config.water);
+  // Last, so that nothing else about a scene depends on it.
+  plan.dark = rng.fork(1).chance(config.dark);
   return plan;
 }
 

@@ -29,6 +29,7 @@ struct SimulateConfig {
   double relief_max = 60;     ///< m
   double tallest_max = 150;   ///< m
   double water = 0.15;        ///< share of the scenes
+  double dark = 0;            ///< share of the scenes
   double panchromatic = 0.4;  ///< share of the scenes
   double same_pass = 0.4;     ///< share of the scenes
   double off_nadir_min_deg = 5, off_nadir_max_deg = 32;
@@ -68,6 +69,11 @@ struct SimulateConfig {
             .max = 300});
     v("water", s.water,
       Field{.help = "share of scenes with a river or a lake", .min = 0, .max = 1});
+    v("dark", s.dark,
+      Field{.help = "share of scenes with soil, rock and plants that are dark without a shadow: "
+                    "lava, coal, wet and weathered faces, burnt ground",
+            .min = 0,
+            .max = 1});
     v("panchromatic", s.panchromatic, Field{.help = "share of scenes in grey", .min = 0, .max = 1});
     v("same_pass", s.same_pass,
       Field{.help = "share of scenes taken within minutes from one orbit", .min = 0, .max = 1});

@@ -3,12 +3,14 @@
 #include "satsurf/scene/simulate/city.h"
 #include "satsurf/scene/simulate/conditions.h"
 #include "satsurf/scene/simulate/develop.h"
+#include "satsurf/scene/simulate/natural.h"
 #include "satsurf/scene/simulate/orbit.h"
 #include "satsurf/scene/simulate/render.h"
 #include "satsurf/scene/simulate/scene.h"
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
@@ -315,6 +317,62 @@ TEST_CASE("towns hold wide flat roofs and, some of them, towers, none above the 
     const SimulatedScene scene = simulate_scene(config, 2, k);
     CHECK(scene.h_max - scene.h_min < 24 + 2 * 8);
   }
+}
+
+TEST_CASE("dark ground changes the colour of soil, rock and plants and nothing else") {
+  const auto natural = [](Material m) {
+    return m == Material::soil || m == Material::rock || m == Material::grass ||
+           m == Material::field;
+  };
+  int darkened = 0, layered = 0;
+  for (std::uint64_t seed = 0; seed < 6; ++seed) {
+    CityPlan plan{.kind = seed % 2 == 0 ? SceneKind::rough : SceneKind::rural,
+                  .relief = 20,
+                  .tallest = 24,
+                  .x0 = -100,
+                  .y0 = 100,
+                  .step = 0.5,
+                  .size = 400};
+    const City bright = make_city(plan, Rng(seed));
+    plan.dark = true;
+    const City dark = make_city(plan, Rng(seed));
+    CHECK(std::ranges::equal(bright.field.z.values(), dark.field.z.values()));
+    double before = 0, after = 0;
+    Index much = 0, cells = 0;
+    for (std::size_t k = 0; k < dark.cells.size(); ++k) {
+      const SurfaceCell &b = bright.cells[k], &d = dark.cells[k];
+      REQUIRE(b.material == d.material);
+      if (!natural(b.material)) {
+        if (b.albedo != d.albedo) FAIL("a cell that is not natural has changed");
+        continue;
+      }
+      before += b.albedo[1];
+      after += d.albedo[1];
+      much += 2 * d.albedo[1] < b.albedo[1];
+      ++cells;
+    }
+    CAPTURE(seed);
+    CHECK(after < before);
+    darkened += 5 * much > cells;
+
+    // Without stains and folds the layers of rock depend on nothing but the height.
+    const DarkGround ground(plan, Rng(seed));
+    CHECK(ground.factor(0, 3, 0, Material::asphalt) == 1);
+    CHECK(ground.factor(0, 3, 0, Material::roof) == 1);
+    float least = 2, most = 0;
+    for (float z = -20; z < 20; z += 0.25f) {
+      const float f = ground.factor(0, z, 2, Material::rock);
+      least = std::min(least, f);
+      most = std::max(most, f);
+    }
+    CHECK(least > 0.0);
+    CHECK(most < 1.3);
+    layered += most > 1.1f * least;
+  }
+  CHECK(DarkGround().factor(0, 3, 2, Material::rock) == 1);
+  CHECK(darkened >= 2);
+  CHECK(layered >= 1);
+  CHECK(layered <= 5);
 }
 
 TEST_CASE("kinds are drawn by their weights") {
