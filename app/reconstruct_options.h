@@ -166,10 +166,11 @@ struct ReconstructConfig {
             .automatic = "all that two images see",
             .flag = "--aoi"});
     v("mask", s.mask,
-      Field{.help = "ground that is not wanted, water or clouds: polygons of a vector file, or the "
-                    "cells of a raster that are neither 0 nor nodata, in any reference system. It "
-                    "stays nodata in all files, and its heights do not count where the height "
-                    "range is found",
+      Field{.help =
+                "ground that is not wanted, water or clouds: polygons of a vector file, or the "
+                "cells of a raster that are neither 0 nor nodata, in any reference system. It "
+                "stays nodata in all files, and its heights do not count where the height "
+                "range is found. Rasters of DFC2019 have their place in a text file beside them",
             .automatic = "none",
             .placeholder = "FILE"});
     v("dem", s.dem,

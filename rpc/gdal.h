@@ -116,6 +116,14 @@ std::vector<int> colour_bands(GDALDataset& d);
 /// throws  IoError
 void write_cog(const std::filesystem::path& path, GDALDataset& from, bool means);
 
+/// Whether a raster itself says where it lies.
+bool has_place(GDALDataset& d);
+/// The grid of a raster in a projected system: its own, or DFC2019's in the text file beside it.
+/// zone    of a raster that names no system
+/// throws  IoError for one without a place, in degrees, of other than square cells or not north up
+GeoGrid grid_of(const std::filesystem::path& path, GDALDataset& d,
+                const std::optional<UtmZone>& zone);
+
 /// How many cells of a raster become one of another grid.
 enum class Sampled { nearest, lowest, highest };
 /// The first band of a raster on another grid, NaN where it says nothing.

@@ -19,18 +19,39 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// The system of a raster that lies somewhere.
+/// A raster that lies somewhere.
+struct Placed {
+  DatasetPtr file;    ///< what `raster` reads from, if that is another
+  DatasetPtr raster;  ///< before it in the order of destruction
+  OGRSpatialReference crs;
+};
+
+/// zone    of a raster of DFC2019, which has its place in a text file beside it and names no system
 /// throws  IoError
-OGRSpatialReference placed_system(const fs::path& path, GDALDataset& d) {
-  std::array<double, 6> place{};
-  if (d.GetGeoTransform(place.data()) != CE_None)
-    throw IoError(path.string() + ": no georeference, expected a raster on the ground");
-  const OGRSpatialReference* crs = d.GetSpatialRef();
-  if (crs == nullptr) throw IoError(path.string() + ": names no reference system, expected one");
-  OGRSpatialReference out(*crs);
-  out.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+Placed open_placed(const fs::path& path, const UtmZone& zone) {
+  Placed out;
+  out.raster = open_raster(path);
+  if (!has_place(*out.raster)) {
+    const GeoGrid grid = grid_of(path, *out.raster, zone);
+    out.file = std::move(out.raster);
+    GDALDriver* vrt = GetGDALDriverManager()->GetDriverByName("VRT");
+    out.raster.reset(vrt == nullptr
+                         ? nullptr
+                         : vrt->CreateCopy("", out.file.get(), 0, nullptr, nullptr, nullptr));
+    std::array<double, 6> place{grid.x0, grid.step, 0, grid.y0, 0, -grid.step};
+    if (!out.raster || out.raster->SetGeoTransform(place.data()) != CE_None ||
+        out.crs.importFromEPSG(grid.epsg) != OGRERR_NONE)
+      throw IoError(path.string() + ": GDAL cannot place it by its grid: " + gdal_error());
+  } else {
+    const OGRSpatialReference* crs = out.raster->GetSpatialRef();
+    if (crs == nullptr) throw IoError(path.string() + ": names no reference system, expected one");
+    out.crs = *crs;
+  }
+  out.crs.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
   return out;
 }
+
+constexpr UtmZone kAnyZone{.number = 31, .north = true};  // where only the file is looked at
 
 /// Heights of zero and of one in a vertical system, m above the ellipsoid.
 struct Lifted {
@@ -120,7 +141,7 @@ GroundMask::GroundMask(const fs::path& path) : path_(path) {
     polygons_ = std::make_unique<Polygons>();
     return;
   }
-  placed_system(path, *open_raster(path));
+  open_placed(path, kAnyZone);
 }
 
 GroundMask::~GroundMask() = default;
@@ -129,9 +150,8 @@ Tensor GroundMask::on(const GeoGrid& grid, Index height, Index width) const {
   Tensor out({height, width});
   if (!polygons_) {
     const GdalScope scope;
-    const DatasetPtr d = open_raster(path_);
-    const Tensor values =
-        first_band_on(*d, placed_system(path_, *d), grid, height, width, Sampled::nearest);
+    const Placed at = open_placed(path_, {grid.epsg % 100, grid.epsg / 100 == 326});
+    const Tensor values = first_band_on(*at.raster, at.crs, grid, height, width, Sampled::nearest);
     for (Index i = 0; i < out.count(); ++i)
       out[i] = std::isfinite(values[i]) && values[i] != 0 ? 1.0F : 0.0F;
     return out;
@@ -155,9 +175,8 @@ Tensor GroundMask::on(const GeoGrid& grid, Index height, Index width) const {
 
 Terrain::Terrain(const fs::path& path) : path_(path) {
   const GdalScope scope;
-  const DatasetPtr d = open_raster(path);
-  placed_system(path, *d);
-  const std::string unit = d->GetRasterBand(1)->GetUnitType();
+  const Placed at = open_placed(path, kAnyZone);
+  const std::string unit = at.raster->GetRasterBand(1)->GetUnitType();
   for (const char* metre : {"", "m", "metre", "meter", "metres", "meters"})
     if (EQUAL(unit.c_str(), metre)) return;
   throw IoError(path.string() + ": heights in " + unit + ", expected metres");
@@ -166,8 +185,7 @@ Terrain::Terrain(const fs::path& path) : path_(path) {
 TerrainHeights Terrain::over(const UtmZone& zone, const std::array<double, 4>& ground) const {
   constexpr Index kMost = 256;  // cells a side: of the raster's in one of them the extremes count
   const GdalScope scope;
-  const DatasetPtr d = open_raster(path_);
-  const OGRSpatialReference crs = placed_system(path_, *d);
+  const auto [file, d, crs] = open_placed(path_, zone);
   const double rim = 2 * cell_of(crs, *d);  // what lies beside matters where its cells are large
   const std::array<double, 4> all{ground[0] - rim, ground[1] - rim, ground[2] + rim,
                                   ground[3] + rim};

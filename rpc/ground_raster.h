@@ -13,7 +13,8 @@
 namespace satsurf::rpc {
 
 /// Ground that is not wanted: the polygons of a vector file (see `read_area`), or the cells of a
-/// raster that are neither 0 nor nodata; water and clouds, say. Of any reference system.
+/// raster that are neither 0 nor nodata; water and clouds, say. Of any reference system; a raster
+/// of DFC2019, with its grid in a text file beside it, lies in the zone that is asked for.
 class GroundMask {
  public:
   /// throws  IoError for a file that is neither, names no reference system or has no place
@@ -43,7 +44,8 @@ struct TerrainHeights {
 };
 
 /// A model of the terrain: a raster of heights in m in any reference system. A compound system says
-/// what they are above, as does one of three axes or what `write_geo_raster` notes of the datum.
+/// what they are above, as does one of three axes or what `write_geo_raster` notes of the datum. One of
+/// DFC2019, with its grid in a text file beside it, lies in the zone that is asked for.
 class Terrain {
  public:
   /// throws  IoError for a file that is no raster with a place, or whose heights are not in m

@@ -85,10 +85,17 @@ GeoGrid read_dfc_grid(const fs::path& path, const fs::path& text_path, Index wid
   return {zone ? zone->epsg() : 0, numbers[0], numbers[1] + cells * step, step};
 }
 
+}  // namespace
+
+bool has_place(GDALDataset& d) {
+  std::array<double, 6> t{};
+  return d.GetGeoTransform(t.data()) == CE_None && t != std::array<double, 6>{0, 1, 0, 0, 0, 1};
+}
+
 GeoGrid grid_of(const fs::path& path, GDALDataset& d, const std::optional<UtmZone>& zone) {
   std::array<double, 6> t{};
-  const bool placed = d.GetGeoTransform(t.data()) == CE_None;
-  if (!placed || t == std::array<double, 6>{0, 1, 0, 0, 0, 1})
+  d.GetGeoTransform(t.data());
+  if (!has_place(d))
     return read_dfc_grid(path, dfc_grid_path(path), d.GetRasterXSize(), d.GetRasterYSize(), zone);
   const double step = t[1];
   if (t[2] != 0 || t[4] != 0 || !(step > 0) || !(std::abs(t[5] + step) <= 1e-6 * step)) {
@@ -109,8 +116,6 @@ GeoGrid grid_of(const fs::path& path, GDALDataset& d, const std::optional<UtmZon
   }
   return {epsg, t[0], t[3], step};
 }
-
-}  // namespace
 
 GeoRaster read_geo_raster(const fs::path& path, const std::optional<UtmZone>& zone) {
   const GdalScope scope;

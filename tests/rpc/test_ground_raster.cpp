@@ -5,10 +5,12 @@
 
 #include <cmath>
 #include <filesystem>
+#include <memory>
 #include <string>
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
+#include <gdal_priv.h>
 
 using namespace satsurf;
 using namespace satsurf::rpc;
@@ -31,6 +33,19 @@ void write_raster(const std::filesystem::path& path, float (*value)(Index row, I
 /// Heights from 30 in the west to 49 in the east, with a tower of one cell.
 float slope(Index row, Index column) {
   return row == 10 && column == 5 ? 80.0F : 30.0F + static_cast<float>(column);
+}
+
+/// The same raster as DFC2019 has them: its place is in a text file beside it.
+void write_dfc_raster(const std::filesystem::path& path, float (*value)(Index row, Index column)) {
+  GDALAllRegister();
+  GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
+  const std::unique_ptr<GDALDataset> d(
+      driver->Create(path.c_str(), 20, 20, 1, GDT_Float32, nullptr));
+  REQUIRE(d);
+  std::array<float, 400> values{};
+  for (Index i = 0; i < 400; ++i) values[static_cast<std::size_t>(i)] = value(i / 20, i % 20);
+  REQUIRE(d->GetRasterBand(1)->RasterIO(GF_Write, 0, 0, 20, 20, values.data(), 20, 20, GDT_Float32,
+                                        0, 0, nullptr) == CE_None);
 }
 
 double geoid() {
@@ -122,6 +137,30 @@ TEST_CASE("a terrain says of how much ground it knows nothing") {
   CHECK(terrain.over(kZone, {kEast + 1000, kNorth, kEast + 1100, kNorth + 100}).covered == 0);
   // ground within one cell
   CHECK(terrain.over(kZone, {kEast + 52, kNorth + 52, kEast + 53, kNorth + 53}).covered == 1);
+}
+
+TEST_CASE("grids of DFC2019 lie where the text file beside them says, in the zone of the images") {
+  const TempFolder folder("terrain_dfc");
+  write_dfc_raster(folder / "A_DSM.tif", slope);
+  write_dfc_raster(folder / "A_CLS.tif",
+                   [](Index, Index column) { return column >= 10 ? 9.0F : 0.0F; });
+  CHECK_THROWS_WITH_AS(
+      Terrain(folder / "A_DSM.tif"),
+      ((folder / "A_DSM.tif").string() + ": no georeference, expected one in the file or in " +
+       (folder / "A_DSM.txt").string())
+          .c_str(),
+      IoError);
+  write_dfc_grid(folder / "A_DSM.txt", {kZone.epsg(), kEast, kNorth + 200, 10}, 20);
+
+  const TerrainHeights known = Terrain(folder / "A_DSM.tif").over(kZone, kGround);
+  CHECK(known.covered == 1);
+  CHECK(known.either);
+  CHECK(known.heights.high == 80);
+  CHECK(Terrain(folder / "A_DSM.tif").over({18, true}, kGround).covered == 1);  // same numbers
+
+  const GroundMask mask(folder / "A_CLS.tif");
+  const Tensor here = mask.on({kZone.epsg(), kEast, kNorth + 200, 5}, 40, 40);
+  for (Index i = 0; i < here.count(); ++i) CHECK(here[i] == (i % 40 >= 20 ? 1.0F : 0.0F));
 }
 
 TEST_CASE("terrain in feet is refused") {
