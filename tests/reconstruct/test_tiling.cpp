@@ -162,6 +162,23 @@ TEST_CASE("tiles cover the ground once, and every window holds what its tile nee
   for (const int n : covered) REQUIRE(n == 1);
 }
 
+TEST_CASE("a million tiles are refused before any is made") {
+  const Files files(96);
+  scene::Survey survey = files.survey();
+  for (scene::SurveyedView& view : survey.views)  // cameras that see a hair
+    view.rpc.samp_scale *= 1e5, view.rpc.line_scale *= 1e5;
+  ReconstructOptions options;
+  options.resolution = 2e-4;  // m
+  std::string message;
+  try {
+    plan_tiles(nn::model_preset("tiny"), survey, options, {}, 0);
+  } catch (const Error& e) {
+    message = e.what();
+  }
+  INFO(message);
+  CHECK(message.find("tiles, expected at most a million; wrong cameras?") != std::string::npos);
+}
+
 TEST_CASE("more memory never means smaller windows, and too little is refused") {
   const nn::ModelConfig model = nn::model_preset("wide8");
   Index before = 0;
