@@ -182,7 +182,7 @@ struct ReconstructConfig {
             .placeholder = "FILE"});
     v("max_memory", s.max_memory,
       Field{.help = "memory that the program may take, e.g. 4GB: the tiles that large images are "
-                    "worked on in are as large as it allows, and 1280 px at most",
+                    "worked on in are as large as it allows, and 2048 px at most",
             .automatic = "tiles of 1280 px",
             .flag = "--max-memory",
             .placeholder = "SIZE"});

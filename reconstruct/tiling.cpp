@@ -6,6 +6,7 @@
 #include "satsurf/rpc/fit.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <string>
 
@@ -58,16 +59,63 @@ double memory_of_rows(const Tiling& tiling, bool colour) {
 /// Where the parts of a side begin and end.
 Index boundary(Index cells, Index parts, Index k) { return cells * k / parts; }
 
-/// Tiles of a grid whose cores have at most so many cells a side.
-/// throws  Error for more than anybody waits for
-void cut(Tiling& tiling, Index most_wide, Index most_high) {
-  const Index W = tiling.grid.width, H = tiling.grid.height, m = tiling.overlap;
-  const auto parts = [&](Index cells, Index most) {
-    if (cells <= most) return Index{1};
-    const Index core = std::max<Index>(most - 2 * m, 2 * m);
-    return (cells + core - 1) / core;
+/// One axis of a view's window: pixels along it that a column and a row of the surface's cells take,
+/// and how many of them cells may take, the rest being for the heights.
+struct Axis {
+  double column = 0, row = 0, room = 0;
+};
+
+/// Parts of a side whose cores leave room for the overlap.
+/// most  cells of a part
+Index parts_of(Index cells, double most, Index overlap) {
+  if (static_cast<double>(cells) <= most) return 1;
+  // A window of NaN holds no cell.
+  const auto core = most >= static_cast<double>(4 * overlap)
+                        ? static_cast<Index>(most) - 2 * overlap
+                        : 2 * overlap;
+  return (cells + core - 1) / core;
+}
+
+/// The columns and rows of tiles that need the fewest pixels of windows. Tiles are the longer, the
+/// less of the window the heights take along them.
+/// window    px
+/// multiple  of what windows are, px
+std::array<Index, 2> best_cut(const Grid& grid, Index overlap, const std::vector<Axis>& axes,
+                              Index window, Index multiple) {
+  const auto cells_of = [&](Index side, Index parts) {
+    return static_cast<double>(side) / static_cast<double>(parts) +
+           static_cast<double>(parts > 1 ? 2 * overlap : 0);
   };
-  tiling.columns = parts(W, most_wide), tiling.rows = parts(H, most_high);
+  double widest = INFINITY;
+  for (const Axis& axis : axes) widest = std::min(widest, axis.room / axis.column);
+  const Index first = parts_of(grid.width, widest, overlap);
+  std::array<Index, 2> best{first, 0};
+  double least = INFINITY;
+  for (Index columns = first; columns <= 4 * first + 4; ++columns) {
+    const double wide = cells_of(grid.width, columns);
+    double highest = INFINITY;
+    for (const Axis& axis : axes)
+      highest = std::min(highest, (axis.room - axis.column * wide) / axis.row);
+    const Index rows = parts_of(grid.height, highest, overlap);
+    const double high = cells_of(grid.height, rows);
+    double side = 0;
+    for (const Axis& axis : axes)
+      side = std::max(
+          side, axis.column * wide + axis.row * high + static_cast<double>(window) - axis.room);
+    const double of = static_cast<double>(multiple), rounded = std::ceil(side / of) * of;
+    const double cost =
+        static_cast<double>(columns) * static_cast<double>(rows) * rounded * rounded;
+    if (cost < least || best[1] == 0) least = cost, best = {columns, rows};
+    if (2 * overlap >= grid.width / columns || static_cast<double>(columns) > kMostTiles) break;
+  }
+  return best;
+}
+
+/// Tiles of a grid in equal columns and rows.
+/// throws  Error for more than anybody waits for
+void cut(Tiling& tiling, Index columns, Index rows) {
+  const Index W = tiling.grid.width, H = tiling.grid.height, m = tiling.overlap;
+  tiling.columns = columns, tiling.rows = rows;
   if (static_cast<double>(tiling.columns) * static_cast<double>(tiling.rows) > kMostTiles)
     throw Error("a surface of " + std::to_string(W) + " x " + std::to_string(H) + " cells in " +
                 std::to_string(tiling.columns) + " x " + std::to_string(tiling.rows) +
@@ -122,8 +170,8 @@ Index window_for_memory(const nn::ModelConfig& model, const ImageSizes& images, 
                         double bytes) {
   const Index multiple = nn::size_multiple(model);
   const Index least = (kLeastWindow + multiple - 1) / multiple * multiple;
-  Index window = std::max(least, kWholeImage / multiple * multiple);
-  if (!(bytes > 0)) return window;
+  if (!(bytes > 0)) return std::max(least, kWholeImage / multiple * multiple);
+  Index window = std::max(least, kLargestWindow / multiple * multiple);
   while (window > least && memory_of_tile(model, images, window, surface) > bytes)
     window -= multiple;
   const double needed = memory_of_tile(model, images, window, surface);
@@ -164,21 +212,15 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
     images.largest = std::max({images.largest, view.width, view.height});
   out.window = window_for_memory(model, images, surface, max_memory);
 
-  // The largest box of ground, as long as it is wide, that every window holds.
-  double side = INFINITY;
   const auto S = static_cast<double>(out.window - kSlack);
+  std::vector<Axis> axes;
   for (const rpc::PixelJacobian& camera : cameras)
-    for (const auto& row : camera) {
-      const double room = std::max(S - std::abs(row[2]) * scene.z_range.span(), (1 - kLocal) * S);
-      side = std::min(side, room / (std::abs(row[0]) + std::abs(row[1])));
-    }
-  // A window that holds all of it may be larger than any number of cells; one of NaN holds none.
-  const double held = side / out.grid.step;
-  const Index all = std::max(out.grid.width, out.grid.height);
-  const Index most = held < static_cast<double>(all)    ? static_cast<Index>(held)
-                     : held >= static_cast<double>(all) ? all
-                                                        : 0;
-  cut(out, most, most);
+    for (const auto& row : camera)
+      axes.push_back({std::abs(row[0]) * out.grid.step, std::abs(row[1]) * out.grid.step,
+                      std::max(S - std::abs(row[2]) * scene.z_range.span(), (1 - kLocal) * S)});
+  const auto [columns, rows] =
+      best_cut(out.grid, out.overlap, axes, out.window, nn::size_multiple(model));
+  cut(out, columns, rows);
   double local = 0;  // of the range what windows have room for
   for (const rpc::PixelJacobian& camera : cameras)
     for (const auto& row : camera) local = std::max(local, std::abs(row[2]));

@@ -45,16 +45,19 @@ struct ImageSizes {
   Index largest = 0;   ///< longest side, px
   Index surveyed = 0;  ///< of all the ground, whose copies are kept; 0 for no more
 };
-/// Largest window that fits into the memory, up to `kWholeImage` px.
-/// bytes  of the whole program, 0 for any
+/// Largest window of any tile, px.
+inline constexpr Index kLargestWindow = 2048;
+
+/// Largest window that fits into the memory, up to `kLargestWindow` px.
+/// bytes  of the whole program; 0 for as much as windows of `kWholeImage` px take
 /// throws  ConfigError where not even the least window fits
 Index window_for_memory(const nn::ModelConfig& model, const ImageSizes& images, Surface surface,
                         double bytes);
 
 /// Cuts the ground that two views or more see into tiles, as large as the windows are that the memory
 /// holds, so that what every view shows of a tile and of its surroundings, for all heights of the
-/// range, lies in one window. Of a wide range up to a fifth of the window counts: the tiles' own
-/// ranges are narrower.
+/// range, lies in one window, and as long and wide as takes the fewest pixels of all windows. Of a
+/// wide range up to a fifth of the window counts: the tiles' own ranges are narrower.
 /// wanted      the part of the ground to make, all if left out
 /// max_memory  bytes of the whole program, 0 for as much as windows of `kWholeImage` px take
 /// throws      Error where two views see nothing of the ground that is wanted, or for a million tiles; ConfigError

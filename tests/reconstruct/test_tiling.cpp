@@ -5,6 +5,7 @@
 #include "satsurf/reconstruct/tiling.h"
 #include "satsurf/rpc/raster.h"
 
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <limits>
@@ -162,6 +163,42 @@ TEST_CASE("tiles cover the ground once, and every window holds what its tile nee
   for (const int n : covered) REQUIRE(n == 1);
 }
 
+TEST_CASE("tiles are as long and wide as takes the fewest pixels") {
+  const Files files(900);
+  scene::Survey survey = files.survey();
+  survey.user.scene.z_range.high = survey.user.scene.z_range.low + 60;
+  const nn::ModelConfig model = nn::model_preset("tiny");
+  double bytes = 1e9;
+  for (; window_for_memory(model, {3, 900}, Surface::splat, bytes) > 420;) bytes *= 0.98;
+  const Tiling tiling = plan_tiles(model, survey, {}, {}, bytes);
+  REQUIRE(tiling.tiles.size() >= 4);
+  // The square windows of a tile in the middle, for so many columns and rows.
+  const rpc::HeightRange z = survey.user.scene.z_range;
+  const auto cost = [&](Index columns, Index rows) {
+    const auto part = [&](Index cells, Index parts) {
+      const Index margin = parts > 1 ? tiling.overlap : 0, length = cells / parts;
+      return std::array<Index, 2>{(cells - length) / 2 - margin, (cells + length) / 2 + margin};
+    };
+    const auto x = part(tiling.grid.width, columns), y = part(tiling.grid.height, rows);
+    Index side = 0;
+    for (scene::SurveyedView view : survey.views) {
+      view.width = view.height = 100000;  // as if there were more image around
+      view.rpc.samp_off += 50000, view.rpc.line_off += 50000;
+      const auto w = scene::window_of(view, survey.user.scene.frame,
+                                      tiling.grid_of({x[0], y[0], x[1], y[1]}).ground(), z);
+      side = std::max({side, w->width, w->height});
+    }
+    return static_cast<double>(side <= tiling.window ? columns * rows * side * side : 1 << 30);
+  };
+  double least = INFINITY;
+  for (Index columns = 1; columns < 9; ++columns)
+    for (Index rows = 1; rows < 9; ++rows) least = std::min(least, cost(columns, rows));
+  CAPTURE(tiling.columns);
+  CAPTURE(tiling.rows);
+  CHECK(least < 1 << 30);
+  CHECK(cost(tiling.columns, tiling.rows) < 1.15 * least);
+}
+
 TEST_CASE("a million tiles are refused before any is made") {
   const Files files(96);
   scene::Survey survey = files.survey();
@@ -188,7 +225,9 @@ TEST_CASE("more memory never means smaller windows, and too little is refused") 
     CHECK(window % nn::size_multiple(model) == 0);
     before = window;
   }
-  CHECK(before == kWholeImage / nn::size_multiple(model) * nn::size_multiple(model));
+  CHECK(before > 1800);
+  CHECK(window_for_memory(model, {3, 12000}, Surface::refined, 1e12) == kLargestWindow);
+  CHECK(window_for_memory(model, {3, 12000}, Surface::refined, 0) == kWholeImage);
   CHECK_THROWS_AS(window_for_memory(model, {3, 12000}, Surface::refined, 1e8), ConfigError);
 }
 
