@@ -292,7 +292,8 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
        "only of large images and parts of the ground: of each tile row, column, ground (least "
        "easting, least northing, largest easting, largest northing), status (done, empty: fewer "
        "than two images see it, failed), seconds, completeness, and of those done "
-       "height_range_searched, window (px), surfels and images (names); of those failed error"},
+       "height_range_searched, window (rows and columns, px), surfels and images (names); of those "
+       "failed error"},
       {"mesh", "voxel (m), vertices, faces, seconds; null without one"},
       {"reconstruct_seconds", "how long the surface took without reading and writing"}};
 }

@@ -132,7 +132,9 @@ ReportTable tiles_of(const nlohmann::ordered_json& tiles, const std::vector<std:
          done ? fmt::format("{:.0f} to {:.0f} m", tile["height_range_searched"][0].get<double>(),
                             tile["height_range_searched"][1].get<double>())
               : "",
-         done ? fmt::format("{} px", tile["window"].get<Index>()) : "",
+         done ? fmt::format("{} x {} px", tile["window"][0].get<Index>(),
+                            tile["window"][1].get<Index>())
+              : "",
          done ? images_text(tile["images"].get<std::vector<std::string>>(), names) : "",
          fmt::format("{:.1f} s", tile["seconds"].get<double>())});
   }

@@ -306,7 +306,8 @@ nlohmann::ordered_json table_json(const Tiling& tiling, const std::vector<TileRe
     if (r.status == "done") {
       const rpc::HeightRange heights = frame.heights_from_z(r.z_range);
       row["height_range_searched"] = {heights.low, heights.high};
-      row["window"] = r.window, row["surfels"] = r.surfels, row["images"] = r.views;
+      row["window"] = {r.window.height, r.window.width};
+      row["surfels"] = r.surfels, row["images"] = r.views;
     }
     if (!r.error.empty()) row["error"] = r.error;
     table.push_back(std::move(row));

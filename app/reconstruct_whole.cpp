@@ -42,7 +42,7 @@ void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene
   std::printf("surface       %td x %td cells of %g m\n", plan.width, plan.height, plan.step);
   if (plan.voxel > 0) std::printf("mesh          voxels of %g m\n", plan.voxel);
   std::printf("tiles         %zu, each with %zu windows of %td x %td px\n", plan.tiles.size(),
-              user.scene.views.size(), plan.window, plan.window);
+              user.scene.views.size(), plan.window.height, plan.window.width);
   std::printf("memory        about %s; %s are free\n", memory_text(plan.memory_bytes).c_str(),
               memory_text(static_cast<double>(available_memory())).c_str());
   for (const nn::PartMemory& part : plan.memory)

@@ -190,7 +190,8 @@ std::optional<TileRecord> TileStore::find(const reconstruct::Tile& tile) const {
     record.refuse("status", out.status, "done, empty or failed");
   out.seconds = record.number("seconds");
   out.found = record.count("found"), out.expected = record.count("expected");
-  out.window = record.count("window"), out.surfels = record.count("surfels");
+  out.window = {record.count("window_height"), record.count("window_width")};
+  out.surfels = record.count("surfels");
   out.z_range = record.range("z_range");
   out.camera_fit_max_px = record.number("camera_fit_max_px");
   out.views = record.texts("views");
@@ -213,7 +214,8 @@ void TileStore::save(const reconstruct::Tile& tile, const TileRecord& record,
                          {"seconds", record.seconds},
                          {"found", record.found},
                          {"expected", record.expected},
-                         {"window", record.window},
+                         {"window_height", record.window.height},
+                         {"window_width", record.window.width},
                          {"surfels", record.surfels},
                          {"z_range", {record.z_range.low, record.z_range.high}},
                          {"camera_fit_max_px", record.camera_fit_max_px},

@@ -16,7 +16,8 @@ namespace satsurf::app {
 struct TileRecord {
   std::string status = "empty";  ///< done, empty or failed
   double seconds = 0;
-  Index found = 0, expected = 0, window = 0, surfels = 0;
+  Index found = 0, expected = 0, surfels = 0;
+  scene::WindowSize window;  ///< px
   rpc::HeightRange z_range;  ///< that was searched, local m
   double camera_fit_max_px = 0;
   std::vector<std::string> views;  ///< names of the images that it is made of

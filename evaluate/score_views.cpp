@@ -62,7 +62,7 @@ scene::Crop middle_window(const nn::Model& model, const scene::Scene& scene,
   const double y = truth.y0 - truth.step * static_cast<double>(truth.z.dim(0)) / 2;
   scene::CropOptions window{.sources = sources,
                             .centre = {x, y, middle_height(scene)},
-                            .size = side,
+                            .size = {side, side},
                             .z_range = scene.z_range,
                             .with_truth = true};
   if (has_target) window.target = static_cast<Index>(sources.size());

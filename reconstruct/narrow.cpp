@@ -151,18 +151,16 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
   const auto factor = static_cast<Index>(std::max(
       kLeastFactor, std::ceil(static_cast<double>(largest) / static_cast<double>(kMostPixels))));
   scene::Scene small = smaller(scene, factor);
-  const Index multiple = nn::size_multiple(model.config());
+  const scene::WindowSize size =
+      scene::rounded_up(scene::largest_image(small), nn::size_multiple(model.config()));
   std::vector<Index> sources(small.views.size());
   std::iota(sources.begin(), sources.end(), Index{0});
   const Unwanted left_out(unwanted, scene);
   // The narrower the range the fewer are wrong, so that the next look may narrow it further.
   for (int look = 0; look < kLooks && small.z_range.span() > most; ++look) {
     const rpc::HeightRange& range = small.z_range;
-    const scene::Crop crop =
-        scene::make_crop(small, {.sources = sources,
-                                 .centre = middle_of(small),
-                                 .size = (largest / factor + multiple - 1) / multiple * multiple,
-                                 .z_range = range});
+    const scene::Crop crop = scene::make_crop(
+        small, {.sources = sources, .centre = middle_of(small), .size = size, .z_range = range});
     const auto stages = model.forward(crop.input, poll, nullptr, nn::Wanted::heights);
     std::vector<float> agreed =
         agreed_heights(crop.input, stages[2].height.value(),

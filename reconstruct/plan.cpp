@@ -143,13 +143,12 @@ WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surfa
   constexpr double kHeights = 9, kMesh = 110;     // floats a pixel, floats a column of voxels
   const Index views = size.views;
   const double pixels = size.pixels, cells = size.cells;
-  const double window = static_cast<double>(size.window) * static_cast<double>(size.window) *
-                        static_cast<double>(views);
+  const Index height = size.window.height, width = size.window.width;
+  const double window = static_cast<double>(size.window.count()) * static_cast<double>(views);
   const nn::Wanted wanted = wanted_of(surface);
-  std::vector<nn::PartMemory> parts =
-      nn::forward_memory(model, views, size.window, size.window, wanted);
+  std::vector<nn::PartMemory> parts = nn::forward_memory(model, views, height, width, wanted);
   const double network =
-      nn::forward_bytes(model, views, size.window, size.window, wanted) +
+      nn::forward_bytes(model, views, height, width, wanted) +
       sizeof(float) * (kView * window + kSurfel * (pixels - std::min(pixels, window)));
   const double render =
       sizeof(float) * (surface == Surface::splat     ? kSplat * pixels + kMaps * cells
@@ -195,10 +194,17 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   const Index multiple = nn::size_multiple(model);
   plan.whole_images = !options.grid && options.tile == 0 && largest <= kWholeImage;
   const Index side = plan.whole_images ? largest : options.tile > 0 ? options.tile : kTile;
-  plan.window = (side + multiple - 1) / multiple * multiple;
+  scene::WindowSize window{side, side};
+  if (plan.whole_images) {
+    const scene::WindowSize needed = scene::window_around(scene, ground);
+    window = {std::min(side, needed.height), std::min(side, needed.width)};
+  } else if (options.grid && options.window.count() > 0) {
+    window = options.window;
+  }
+  plan.window = scene::rounded_up(window, multiple);
   plan.tiles = plan.whole_images || options.grid
                    ? std::vector<Ground>{ground}
-                   : tiles_of(ground, tile_side(plan.window, cameras, scene.z_range.span()));
+                   : tiles_of(ground, tile_side(side, cameras, scene.z_range.span()));
 
   const double step = options.resolution > 0 ? options.resolution : natural_step(footprint);
   const Grid grid = options.grid.value_or(grid_of(ground, scene.frame, step));
@@ -221,7 +227,7 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
 void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {
   const auto times = [](Index a, Index b) { return std::to_string(a) + " x " + std::to_string(b); };
   satsurf::check_memory(std::to_string(scene.views.size()) + " windows of " +
-                            times(plan.window, plan.window) + " px and a surface of " +
+                            times(plan.window.height, plan.window.width) + " px and a surface of " +
                             times(plan.width, plan.height) + " cells need",
                         plan.memory_bytes, "give smaller images or a coarser resolution",
                         static_cast<double>(tensor_bytes()));  // the images are read

@@ -5,6 +5,7 @@
 #include "satsurf/nn/forward_memory.h"
 #include "satsurf/nn/stage.h"
 #include "satsurf/nn/surface_net.h"
+#include "satsurf/scene/crop.h"
 #include "satsurf/scene/ground.h"
 #include "satsurf/scene/scene.h"
 
@@ -57,8 +58,9 @@ struct ReconstructOptions {
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;
-  /// The cells to make, in one window; none: those of the views' common ground.
+  /// The cells to make, in one window of this size; none: those of the views' common ground.
   std::optional<Grid> grid;
+  scene::WindowSize window{};
   /// Says of cells, [H W], which lie on ground that is not wanted, by 1: they stay unknown, have no
   /// surfels, and their heights do not count where the range is narrowed. May be empty.
   std::function<Tensor(const Grid&)> unwanted;
@@ -85,7 +87,7 @@ struct ReconstructPlan {
   double step = 0;              ///< its cell, m
   double voxel = 0;             ///< of the mesh, m; 0 without one
   Index height = 0, width = 0;  ///< its cells
-  Index window = 0;             ///< side of the network's windows, px
+  scene::WindowSize window;     ///< of the network, px
   std::vector<Ground> tiles;    ///< what each window answers for
   bool whole_images = false;    ///< the one window of a view holds its whole image
   double memory_bytes = 0;      ///< of the whole program, within a tenth
@@ -94,10 +96,11 @@ struct ReconstructPlan {
 };
 /// What a reconstruction's memory depends on.
 struct WorkSize {
-  Index views = 0, window = 0;  ///< images, and the side of what the network sees of each, px
-  double pixels = 0;            ///< of all images together
-  double cells = 0;             ///< of the surface
-  double columns = 0;           ///< of the mesh's voxels, 0 without one
+  Index views = 0;           ///< images
+  scene::WindowSize window;  ///< what the network sees of each, px
+  double pixels = 0;         ///< of all images together
+  double cells = 0;          ///< of the surface
+  double columns = 0;        ///< of the mesh's voxels, 0 without one
 };
 /// What a reconstruction takes of the memory.
 struct WorkMemory {

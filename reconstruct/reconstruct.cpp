@@ -61,11 +61,14 @@ scene::Crop window_of(const scene::Scene& scene, const ReconstructPlan& plan, co
 std::vector<nn::PosedImage> whole_images(const scene::Scene& scene, const ReconstructPlan& plan,
                                          const scene::Crop& last) {
   std::vector<nn::PosedImage> images;
-  for (std::size_t i = 0; i < scene.views.size(); ++i)
+  for (std::size_t i = 0; i < scene.views.size(); ++i) {
+    const bool whole = plan.whole_images && scene.views[i].height() <= plan.window.height &&
+                       scene.views[i].width() <= plan.window.width;
     images.push_back(
-        plan.whole_images && last.quarters[i] == 0
+        whole && last.quarters[i] == 0
             ? scene::posed_image(scene.views[i], last.input.sources[i], last.origins[i])
             : scene::posed_image(scene.views[i], scene.frame, scene.z_range));
+  }
   return images;
 }
 

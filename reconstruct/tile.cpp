@@ -24,26 +24,6 @@ bool shown_by_two(const scene::Scene& scene, const Ground& ground) {
   return false;
 }
 
-/// Side of the windows about the middle of a ground that hold all of it at all heights, px.
-Index window_side(const scene::Scene& scene, const Ground& ground) {
-  constexpr double kRim = 2;  // px on every side, for interpolation
-  const auto pixel = [&](const scene::View& v, double x, double y, double z) {
-    return v.rpc.project(scene.frame.geodetic_from_local({x, y, z}));
-  };
-  double half = 0;
-  for (const scene::View& v : scene.views) {
-    const rpc::Pixel middle = pixel(v, 0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
-                                    scene.z_range.middle());
-    for (const double x : {ground.x0, ground.x1})
-      for (const double y : {ground.y0, ground.y1})
-        for (const double z : {scene.z_range.low, scene.z_range.high}) {
-          const rpc::Pixel p = pixel(v, x, y, z);
-          half = std::max({half, std::abs(p.x - middle.x), std::abs(p.y - middle.y)});
-        }
-  }
-  return static_cast<Index>(std::ceil(2 * (half + kRim)));
-}
-
 /// The part [.. h w] of [.. H W].
 Tensor part_of(const Tensor& whole, Index y0, Index x0, Index h, Index w) {
   const bool planes = whole.rank() == 3;
@@ -87,13 +67,15 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
       options.unwanted);
   ReconstructOptions how = options;
   how.grid = grid, how.narrow = false, how.mesh = {};
-  how.tile = std::min(tiling.window, window_side(scene, grid.ground()));
+  const scene::WindowSize needed = scene::window_around(scene, grid.ground());
+  how.window = scene::rounded_up({std::min(tiling.window, std::max<Index>(1, needed.height)),
+                                  std::min(tiling.window, std::max<Index>(1, needed.width))},
+                                 nn::size_multiple(model.config()));
   Reconstruction made = reconstruct(model, scene, how);
 
   out.empty = false;
   out.z_range = made.z_range, out.camera_fit_max_px = made.camera_fit_max_px;
-  const Index multiple = nn::size_multiple(model.config());
-  out.window = (how.tile + multiple - 1) / multiple * multiple;
+  out.window = how.window;
   const Visibility seen = find_visibility(made.dsm, made.images);
   const Tensor ortho = orthophoto(made.dsm, made.images, seen, [&](Index i) {
     return part.values[static_cast<std::size_t>(i)];

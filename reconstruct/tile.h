@@ -17,7 +17,7 @@ struct TileSurface {
   Tensor ortho;              ///< [C h w] of its core, as `orthophoto`; empty where nothing is seen
   splat::Surfels surfels;    ///< those over its core; without tensors where there are none
   rpc::HeightRange z_range;  ///< that was searched, local m
-  Index window = 0;          ///< side of what the network saw of each view, px
+  scene::WindowSize window;  ///< what the network saw of each view, px
   Index found = 0;           ///< cells of the core with a height
   Index expected = 0;        ///< and those two views show
   double camera_fit_max_px = 0;

@@ -40,7 +40,7 @@ double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images, In
   const double area = static_cast<double>(window) * static_cast<double>(window);
   const WorkMemory work = work_memory(model,
                                       {.views = images.views,
-                                       .window = window,
+                                       .window = {window, window},
                                        .pixels = static_cast<double>(images.views) * area,
                                        .cells = area},
                                       surface);
@@ -63,7 +63,13 @@ Index boundary(Index cells, Index parts, Index k) { return cells * k / parts; }
 /// and how many of them cells may take, the rest being for the heights.
 struct Axis {
   double column = 0, row = 0, room = 0;
+  bool upright = false;  ///< the window's rows, north up
 };
+
+/// Which row of a camera's derivatives is the axis of north, see `scene::quarters_to_north`.
+std::size_t upright_row(const rpc::PixelJacobian& camera) {
+  return std::abs(camera[1][1]) >= std::abs(camera[0][1]) ? 1 : 0;
+}
 
 /// Parts of a side whose cores leave room for the overlap.
 /// most  cells of a part
@@ -98,13 +104,15 @@ std::array<Index, 2> best_cut(const Grid& grid, Index overlap, const std::vector
       highest = std::min(highest, (axis.room - axis.column * wide) / axis.row);
     const Index rows = parts_of(grid.height, highest, overlap);
     const double high = cells_of(grid.height, rows);
-    double side = 0;
-    for (const Axis& axis : axes)
-      side = std::max(
-          side, axis.column * wide + axis.row * high + static_cast<double>(window) - axis.room);
-    const double of = static_cast<double>(multiple), rounded = std::ceil(side / of) * of;
-    const double cost =
-        static_cast<double>(columns) * static_cast<double>(rows) * rounded * rounded;
+    std::array<double, 2> side{};
+    for (const Axis& axis : axes) {
+      double& of = side[axis.upright ? 1 : 0];
+      of = std::max(of,
+                    axis.column * wide + axis.row * high + static_cast<double>(window) - axis.room);
+    }
+    const double of = static_cast<double>(multiple);
+    const double cost = static_cast<double>(columns) * static_cast<double>(rows) *
+                        std::ceil(side[0] / of) * std::ceil(side[1] / of);
     if (cost < least || best[1] == 0) least = cost, best = {columns, rows};
     if (2 * overlap >= grid.width / columns || static_cast<double>(columns) > kMostTiles) break;
   }
@@ -143,19 +151,22 @@ double pixels_of(const scene::Survey& survey, const Tiling& tiling, const Tile& 
   const scene::Scene& scene = survey.user.scene;
   const Ground ground = tiling.grid_of(tile.all).ground();
   Index views = 0;
-  double side = 0;
+  std::array<double, 2> side{};
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     if (!scene::window_of(survey.views[i], scene.frame, ground, scene.z_range)) continue;
     ++views;
-    for (const auto& row : cameras[i])
-      side = std::max(side, std::abs(row[0]) * ground.width() + std::abs(row[1]) * ground.height() +
-                                std::abs(row[2]) * z_span);
+    for (std::size_t k = 0; k < 2; ++k) {
+      const auto& row = cameras[i][k];
+      double& of = side[k == upright_row(cameras[i]) ? 1 : 0];
+      of = std::max(of, std::abs(row[0]) * ground.width() + std::abs(row[1]) * ground.height() +
+                            std::abs(row[2]) * z_span);
+    }
   }
   if (views < 2) return 0;
   views = std::min(views, tiling.views);
   const double most = static_cast<double>(tiling.window), of = static_cast<double>(multiple);
-  side = std::min(most, std::ceil((side + kSlack) / of) * of);
-  return static_cast<double>(views) * side * side;
+  for (double& s : side) s = std::min(most, std::ceil((s + kSlack) / of) * of);
+  return static_cast<double>(views) * side[0] * side[1];
 }
 
 }  // namespace
@@ -215,9 +226,11 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
   const auto S = static_cast<double>(out.window - kSlack);
   std::vector<Axis> axes;
   for (const rpc::PixelJacobian& camera : cameras)
-    for (const auto& row : camera)
-      axes.push_back({std::abs(row[0]) * out.grid.step, std::abs(row[1]) * out.grid.step,
-                      std::max(S - std::abs(row[2]) * scene.z_range.span(), (1 - kLocal) * S)});
+    for (std::size_t k = 0; k < 2; ++k)
+      axes.push_back({std::abs(camera[k][0]) * out.grid.step,
+                      std::abs(camera[k][1]) * out.grid.step,
+                      std::max(S - std::abs(camera[k][2]) * scene.z_range.span(), (1 - kLocal) * S),
+                      k == upright_row(camera)});
   const auto [columns, rows] =
       best_cut(out.grid, out.overlap, axes, out.window, nn::size_multiple(model));
   cut(out, columns, rows);

@@ -15,32 +15,37 @@ namespace {
 constexpr double kFarthest = 1e9;  // px
 
 /// [a, b) of a window clipped to [0, n).
-Tensor cut(const Tensor& image, Index x0, Index y0, Index size) {
+Tensor cut(const Tensor& image, Index x0, Index y0, const WindowSize& size) {
   const bool planes = image.rank() == 3;
   const Index C = planes ? image.dim(0) : 1, H = image.dim(planes ? 1 : 0),
               W = image.dim(planes ? 2 : 1);
-  Tensor out(planes ? Shape{C, size, size} : Shape{size, size});
-  const Index x_begin = std::max<Index>(0, -x0), x_end = std::min(size, W - x0);
+  Tensor out(planes ? Shape{C, size.height, size.width} : Shape{size.height, size.width});
+  const Index x_begin = std::max<Index>(0, -x0), x_end = std::min(size.width, W - x0);
   for (Index c = 0; c < C; ++c)
-    for (Index y = std::max<Index>(0, -y0); y < std::min(size, H - y0); ++y)
+    for (Index y = std::max<Index>(0, -y0); y < std::min(size.height, H - y0); ++y)
       if (x_end > x_begin)
         std::copy_n(image.data() + (c * H + y0 + y) * W + x0 + x_begin, x_end - x_begin,
-                    out.data() + (c * size + y) * size + x_begin);
+                    out.data() + (c * size.height + y) * size.width + x_begin);
   return out;
 }
 
-/// A square window [S S] or [C S S], turned clockwise.
+/// A window [H W] or [C H W], turned clockwise.
 Tensor turned(Tensor window, int quarters) {
-  const Index S = window.dim(window.rank() - 1);
   for (; quarters > 0; --quarters) {
-    auto out = Tensor::uninitialised(window.shape());
+    const Index rank = window.rank(), H = window.dim(rank - 2), W = window.dim(rank - 1);
+    auto out = Tensor::uninitialised(rank == 3 ? Shape{window.dim(0), W, H} : Shape{W, H});
     for (Index i = 0; i < out.count(); ++i) {
-      const Index y = i / S % S, x = i % S;  // came from row S - 1 - x, column y
-      out[i] = window[i / (S * S) * S * S + (S - 1 - x) * S + y];
+      const Index y = i / H % W, x = i % H;  // came from row H - 1 - x, column y
+      out[i] = window[i / (H * W) * H * W + (H - 1 - x) * W + y];
     }
     window = std::move(out);
   }
   return window;
+}
+
+/// As an odd number of quarter turns leaves it.
+WindowSize turned(const WindowSize& size, int quarters) {
+  return quarters % 2 == 0 ? size : WindowSize{size.width, size.height};
 }
 
 }  // namespace
@@ -52,10 +57,61 @@ int quarters_to_north(const rpc::Rpc& camera, const rpc::Geodetic& where) {
   return right > 0 ? 3 : 1;
 }
 
+WindowSize rounded_up(const WindowSize& size, Index multiple) {
+  const auto up = [&](Index n) { return (n + multiple - 1) / multiple * multiple; };
+  return {up(size.height), up(size.width)};
+}
+
+WindowSize largest_image(const Scene& scene) {
+  WindowSize most;
+  for (const View& view : scene.views) {
+    const rpc::Geodetic middle = view.rpc.localize(
+        {0.5 * static_cast<double>(view.width()), 0.5 * static_cast<double>(view.height())},
+        scene.frame.h0 + scene.z_range.middle());
+    const WindowSize size =
+        turned(WindowSize{view.height(), view.width()}, quarters_to_north(view.rpc, middle));
+    most = {std::max(most.height, size.height), std::max(most.width, size.width)};
+  }
+  return most;
+}
+
+WindowSize window_around(const Scene& scene, const Ground& ground) {
+  constexpr double kRim = 2;  // px on every side, for interpolation
+  WindowSize most;
+  for (const View& view : scene.views) {
+    const auto pixel = [&](double x, double y, double z) {
+      return view.rpc.project(scene.frame.geodetic_from_local({x, y, z}));
+    };
+    const std::array<double, 3> centre{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
+                                       scene.z_range.middle()};
+    const rpc::Pixel middle = pixel(centre[0], centre[1], centre[2]);
+    double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY;
+    for (const double x : {ground.x0, ground.x1})
+      for (const double y : {ground.y0, ground.y1})
+        for (const double z : {scene.z_range.low, scene.z_range.high}) {
+          const rpc::Pixel p = pixel(x, y, z);
+          left = std::min(left, p.x), right = std::max(right, p.x);
+          top = std::min(top, p.y), bottom = std::max(bottom, p.y);
+        }
+    left = std::max(left, 0.0), right = std::min(right, static_cast<double>(view.width() - 1));
+    top = std::max(top, 0.0), bottom = std::min(bottom, static_cast<double>(view.height() - 1));
+    if (!(left < right && top < bottom)) continue;
+    const double x = std::max({middle.x - left, right - middle.x, 0.0}),
+                 y = std::max({middle.y - top, bottom - middle.y, 0.0});
+    if (!(std::max(x, y) < kFarthest)) continue;
+    const WindowSize size =
+        turned({static_cast<Index>(std::ceil(2 * (y + kRim))),
+                static_cast<Index>(std::ceil(2 * (x + kRim)))},
+               quarters_to_north(view.rpc, scene.frame.geodetic_from_local(centre)));
+    most = {std::max(most.height, size.height), std::max(most.width, size.width)};
+  }
+  return most;
+}
+
 Crop make_crop(const Scene& scene, const CropOptions& options) {
   const rpc::Geodetic centre = scene.frame.geodetic_from_local(options.centre);
-  const Index size = options.size;
-  const rpc::Window window{0, 0, static_cast<double>(size), static_cast<double>(size)};
+  const WindowSize& size = options.size;
+  const rpc::Window window{0, 0, static_cast<double>(size.width), static_cast<double>(size.height)};
 
   std::vector<Index> chosen = options.sources;
   if (options.target) chosen.push_back(*options.target);
@@ -68,8 +124,10 @@ Crop make_crop(const Scene& scene, const CropOptions& options) {
     const auto i = static_cast<std::size_t>(k);
     const View& from = scene.views[static_cast<std::size_t>(chosen[i])];
     const rpc::Pixel pixel = from.rpc.project(centre);
-    const double half = (static_cast<double>(size) - 1) / 2;
-    const double x0 = std::round(pixel.x - half), y0 = std::round(pixel.y - half);
+    if (i < N) quarters[i] = quarters_to_north(from.rpc, centre);
+    const WindowSize as_stored = turned(size, quarters[i]);
+    const double x0 = std::round(pixel.x - (static_cast<double>(as_stored.width) - 1) / 2),
+                 y0 = std::round(pixel.y - (static_cast<double>(as_stored.height) - 1) / 2);
     if (!(std::abs(x0) <= kFarthest && std::abs(y0) <= kFarthest)) {
       std::ostringstream text;
       text << "make_crop: " << from.label() << " sees the middle at (" << pixel.x << ", " << pixel.y
@@ -77,10 +135,9 @@ Crop make_crop(const Scene& scene, const CropOptions& options) {
       throw Error(text.str());
     }
     origins[i] = {static_cast<Index>(x0), static_cast<Index>(y0)};
-    if (i < N) quarters[i] = quarters_to_north(from.rpc, centre);
-    cameras[i] = from.rpc.cropped(x0, y0).turned(quarters[i], size, size);
-    views[i] = {turned(cut(from.rgb, origins[i][0], origins[i][1], size), quarters[i]),
-                turned(cut(from.valid, origins[i][0], origins[i][1], size), quarters[i]),
+    cameras[i] = from.rpc.cropped(x0, y0).turned(quarters[i], as_stored.width, as_stored.height);
+    views[i] = {turned(cut(from.rgb, origins[i][0], origins[i][1], as_stored), quarters[i]),
+                turned(cut(from.valid, origins[i][0], origins[i][1], as_stored), quarters[i]),
                 rpc::fit_localisation(cameras[i], scene.frame, window, options.z_range),
                 rpc::fit_projection(cameras[i], scene.frame, window, options.z_range)};
   });
@@ -100,10 +157,11 @@ Crop make_crop(const Scene& scene, const CropOptions& options) {
       for (std::size_t i = 0; i < N; ++i)
         stage.push_back(heights_in_view(
             *scene.truth, rescale_pixels(views[i].local_from_pixel, static_cast<double>(stride), 1),
-            size / stride, size / stride));
+            size.height / stride, size.width / stride));
     }
     if (options.target)
-      crop.target_truth = heights_in_view(*scene.truth, views[N].local_from_pixel, size, size);
+      crop.target_truth =
+          heights_in_view(*scene.truth, views[N].local_from_pixel, size.height, size.width);
   }
   if (options.target) crop.target = std::move(views[N]);
   views.resize(N);

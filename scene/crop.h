@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/input.h"
+#include "satsurf/scene/ground.h"
 #include "satsurf/scene/scene.h"
 
 #include <array>
@@ -17,7 +18,21 @@ namespace satsurf::scene {
 /// returns  0 to 3
 int quarters_to_north(const rpc::Rpc& camera, const rpc::Geodetic& where);
 
-/// A square window of every chosen view around one ground point, ready for the network: sources are
+/// Rows and columns of pixels.
+struct WindowSize {
+  Index height = 0, width = 0;
+  Index count() const { return height * width; }
+  friend bool operator==(const WindowSize&, const WindowSize&) = default;
+};
+/// Both rounded up to multiples.
+WindowSize rounded_up(const WindowSize& size, Index multiple);
+/// Of images as they come out turned by `quarters_to_north`, the most rows and the most columns.
+WindowSize largest_image(const Scene& scene);
+/// The size, north up, of windows around the middle of some ground in which every view shows what
+/// it has of the ground, at all heights of the scene's range; 0 where none shows any.
+WindowSize window_around(const Scene& scene, const Ground& ground);
+
+/// A window of every chosen view around one ground point, ready for the network: sources are
 /// turned until north is up.
 struct Crop {
   nn::NetworkInput input;
@@ -36,13 +51,14 @@ struct CropOptions {
   std::vector<Index> sources;      ///< views the network is given, by index
   std::optional<Index> target{};   ///< the view to be rendered, if there is one
   std::array<double, 3> centre{};  ///< ground point in the middle of every window, local m
-  Index size = 0;                  ///< side of the windows, px, a multiple of the network's
+  WindowSize size{};               ///< of the windows with north up, multiples of the network's
   rpc::HeightRange z_range{};      ///< that the network searches, local m
   bool with_truth = false;         ///< fill the true heights in, where the scene has them
 };
 
 /// Cuts windows of the views around one ground point, and fits every camera over its window and the heights, once.
-/// Pixels outside an image are invalid. Throws Error for a camera that sees the middle nowhere near its image.
+/// Pixels outside an image are invalid. The target's window, which is not turned, has the same rows
+/// and columns. Throws Error for a camera that sees the middle nowhere near its image.
 Crop make_crop(const Scene& scene, const CropOptions& options);
 
 /// Makes true heights of sources unknown where a pixel holds no image: there is nothing to find.

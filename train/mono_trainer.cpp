@@ -59,7 +59,7 @@ MonoSample window(const MonoTrainConfig& config, const std::vector<scene::Scene>
         scene.frame.local_from_geodetic(from.rpc.localize({px, py}, z + scene.frame.h0));
     scene::Crop crop = scene::make_crop(scene, {.sources = {number},
                                                 .centre = {at[0], at[1], z},
-                                                .size = config.crop,
+                                                .size = {config.crop, config.crop},
                                                 .z_range = scene.z_range,
                                                 .with_truth = true});
     view = std::move(crop.input.sources[0]);

@@ -112,7 +112,7 @@ scene::Crop cut_sample(const TrainConfig& config, const DrawScene& draw, std::ui
     crop = scene::make_crop(scene, {.sources = sources,
                                     .target = order[N],
                                     .centre = {x, y, z},
-                                    .size = config.crop,
+                                    .size = {config.crop, config.crop},
                                     .z_range = {low, high},
                                     .with_truth = true});
     if (scene::forget_unseen_truth(crop) >= kEnough) break;

@@ -28,7 +28,8 @@ reconstruct::TileSurface surface() {
 
 TileRecord record() {
   TileRecord out;
-  out.status = "done", out.seconds = 1.5, out.found = 11, out.expected = 12, out.window = 256;
+  out.status = "done", out.seconds = 1.5, out.found = 11, out.expected = 12,
+  out.window = {256, 192};
   out.z_range = {-3.25, 17.125};
   return out;
 }
@@ -50,7 +51,7 @@ TEST_CASE("a finished tile is found again, with all that is known of it") {
   REQUIRE(found);
   CHECK(found->status == "done");
   CHECK(found->found == 11);
-  CHECK(found->window == 256);
+  CHECK(found->window == scene::WindowSize{256, 192});
   CHECK(found->z_range.high == 17.125);
   const reconstruct::TileSurface loaded = store.load(kTile);
   CHECK(loaded.heights.shape() == Shape{7, 8});
@@ -141,8 +142,8 @@ TEST_CASE("a damaged record of a tile is named for what is wrong in it") {
   };
   const std::string end = "; not the record of a tile?";
   // as a whole number these were undefined
-  CHECK(error("\"window\":256", "\"window\":1e300") ==
-        file.string() + ": window is 1e+300, expected a count" + end);
+  CHECK(error("\"window_width\":192", "\"window_width\":1e300") ==
+        file.string() + ": window_width is 1e+300, expected a count" + end);
   CHECK(error("\"found\":11", "\"found\":-1") ==
         file.string() + ": found is -1, expected a count" + end);
   CHECK(error("\"seconds\":1.5", "\"seconds\":null") ==

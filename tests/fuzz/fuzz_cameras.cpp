@@ -59,7 +59,8 @@ void run(std::string_view bytes) {
     case 4:
       only<Error>([&] {
         const scene::Crop crop = scene::make_crop(
-            scene, {.sources = {0}, .centre = {0, 0, 0}, .size = 32, .z_range = scene.z_range});
+            scene,
+            {.sources = {0}, .centre = {0, 0, 0}, .size = {32, 32}, .z_range = scene.z_range});
         require(crop.input.sources.size() == 1, "a crop has its views");
       });
       break;

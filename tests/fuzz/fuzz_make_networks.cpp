@@ -93,7 +93,8 @@ void tiles_and_changes() {
   surface.heights = ramp({7, 8}), surface.confidence = ramp({7, 8}), surface.sigma = ramp({7, 8});
   surface.views = ramp({3, 4}), surface.ortho = ramp({1, 3, 4});
   app::TileRecord record;
-  record.status = "done", record.seconds = 1.5, record.window = 256, record.z_range = {-3, 17};
+  record.status = "done", record.seconds = 1.5, record.window = {256, 192},
+  record.z_range = {-3, 17};
   {
     app::TileStore store(folder().path() / "out", false, true);
     store.save(tile, record, surface);

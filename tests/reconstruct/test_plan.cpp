@@ -55,17 +55,20 @@ TEST_CASE("windows are multiples of the network's, and small images are one wind
   ReconstructPlan plan = plan_reconstruction(model, scene, {});
   CHECK(plan.whole_images);
   CHECK(plan.tiles.size() == 1);
-  CHECK(plan.window % multiple == 0);
-  CHECK(plan.window >= 96);
-  CHECK(plan.window < 96 + multiple);
+  for (const Index side : {plan.window.height, plan.window.width}) {
+    CHECK(side % multiple == 0);
+    CHECK(side >= 96);
+    CHECK(side < 96 + multiple);
+  }
   for (const Index asked : {Index{33}, Index{64}, Index{70}}) {
     ReconstructOptions options;
     options.tile = asked;
     plan = plan_reconstruction(model, scene, options);
     CHECK_FALSE(plan.whole_images);
-    CHECK(plan.window % multiple == 0);
-    CHECK(plan.window >= asked);
-    CHECK(plan.window < asked + multiple);
+    CHECK(plan.window.height % multiple == 0);
+    CHECK(plan.window.height >= asked);
+    CHECK(plan.window.height < asked + multiple);
+    CHECK(plan.window.width == plan.window.height);
   }
 }
 
@@ -86,7 +89,7 @@ TEST_CASE("tiles cover the ground once, and every window holds its tile") {
       for (const Ground& t : plan.tiles) in += t.contains(x, y);
       CHECK(in == 1);
     }
-  const double half = static_cast<double>(plan.window) / 2;
+  const double half = static_cast<double>(plan.window.height) / 2;
   for (const Ground& t : plan.tiles)
     for (const scene::View& v : scene.views) {
       const double z_middle = scene.z_range.middle();

@@ -230,6 +230,61 @@ TEST_CASE("an image turned with its camera gives the same surface") {
   }
 }
 
+TEST_CASE("images wider than high have windows of their shape, whichever way one is turned") {
+  const scene::SimulatedScene made = test::village(128, 3);
+  scene::Scene scene =
+      scene::scene_from_images(test::HeldImages(made).images(), test::range_of(made)).scene;
+  constexpr Index kTop = 30, kHigh = 60, kWide = 128;
+  const auto rows = [&](const Tensor& image) {
+    const Index C = image.rank() == 3 ? image.dim(0) : 1;
+    auto out =
+        Tensor::uninitialised(image.rank() == 3 ? Shape{C, kHigh, kWide} : Shape{kHigh, kWide});
+    for (Index c = 0; c < C; ++c)
+      std::copy_n(image.data() + (c * kWide + kTop) * kWide, kHigh * kWide,
+                  out.data() + c * kHigh * kWide);
+    return out;
+  };
+  for (scene::View& view : scene.views) {
+    view.rgb = rows(view.rgb), view.valid = rows(view.valid);
+    view.rpc = view.rpc.cropped(0, kTop);
+  }
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  const Index multiple = nn::size_multiple(model.config());
+  const ReconstructPlan plan = plan_reconstruction(model.config(), scene, {});
+  CHECK(plan.window.height <= (kHigh + 2 * multiple) / multiple * multiple);
+  CHECK(plan.window.height % multiple == 0);
+  CHECK(plan.window.width >= 96);
+  ReconstructOptions square;
+  square.tile = kWide;
+  CHECK(plan.memory_bytes < plan_reconstruction(model.config(), scene, square).memory_bytes);
+  const Reconstruction upright = reconstruct::reconstruct(model, scene, {});
+  CHECK(upright.completeness > 0.8);
+
+  scene::Scene other = scene;
+  scene::View& view = other.views[1];
+  view.rpc = view.rpc.turned(1, kWide, kHigh);
+  const auto turned = [&](const Tensor& image) {  // clockwise: from the bottom up
+    const Index C = image.rank() == 3 ? image.dim(0) : 1;
+    auto out =
+        Tensor::uninitialised(image.rank() == 3 ? Shape{C, kWide, kHigh} : Shape{kWide, kHigh});
+    for (Index c = 0; c < C; ++c)
+      for (Index y = 0; y < kWide; ++y)
+        for (Index x = 0; x < kHigh; ++x)
+          out[(c * kWide + y) * kHigh + x] = image[(c * kHigh + kHigh - 1 - x) * kWide + y];
+    return out;
+  };
+  view.rgb = turned(view.rgb), view.valid = turned(view.valid);
+  CHECK(plan_reconstruction(model.config(), other, {}).window == plan.window);
+  const Reconstruction again = reconstruct::reconstruct(model, other, {});
+  REQUIRE(again.dsm.z.shape() == upright.dsm.z.shape());
+  double sum = 0, both = 0;
+  for (Index i = 0; i < again.dsm.z.count(); ++i)
+    if (std::isfinite(again.dsm.z[i]) && std::isfinite(upright.dsm.z[i]))
+      sum += std::abs(static_cast<double>(again.dsm.z[i] - upright.dsm.z[i])), both += 1;
+  CHECK(both > 1000);
+  CHECK(sum / both < 0.01);
+}
+
 TEST_CASE("the plain surface is made of surfels that the splatted one is made of, too") {
   for (const Index views : {Index{2}, Index{4}})
     for (const Index tile : {Index{0}, Index{64}}) {

@@ -101,9 +101,11 @@ TEST_CASE("a crop's cameras, pixels and true heights agree") {
   const TempFolder folder("dataset-2");
   write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
   const Scene scene = load_scene(folder.path(), "SIM_001");
-  const Crop crop = make_crop(
-      scene,
-      {.sources = {0, 2}, .target = 3, .size = 64, .z_range = scene.z_range, .with_truth = true});
+  const Crop crop = make_crop(scene, {.sources = {0, 2},
+                                      .target = 3,
+                                      .size = {64, 64},
+                                      .z_range = scene.z_range,
+                                      .with_truth = true});
   REQUIRE(crop.input.sources.size() == 2);
   REQUIRE(crop.target.has_value());
   REQUIRE(crop.source_truth.size() == 3);
@@ -133,11 +135,54 @@ TEST_CASE("a crop's cameras, pixels and true heights agree") {
   }
 }
 
+TEST_CASE("the window around some ground holds what every image shows of it, and hardly more") {
+  const TempFolder folder("dataset-3");
+  write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
+  const Scene scene = load_scene(folder.path(), "SIM_001");
+  const View& any = scene.views[0];
+  CHECK(largest_image(scene) == WindowSize{any.height(), any.width()});
+  const auto ground = [](double x, double y, double w, double h) {
+    return Ground{x - w, y - h, x + w, y + h};
+  };
+  const auto middle = scene.frame.local_from_geodetic(any.rpc.localize(
+      {0.5 * static_cast<double>(any.width()), 0.5 * static_cast<double>(any.height())},
+      scene.frame.h0 + scene.z_range.middle()));
+  const WindowSize wide = window_around(scene, ground(middle[0], middle[1], 12, 3)),
+                   high = window_around(scene, ground(middle[0], middle[1], 3, 12)),
+                   all = window_around(scene, ground(middle[0], middle[1], 1e4, 1e4));
+  CHECK(wide.width > wide.height);
+  CHECK(high.height > high.width);
+  // what lies outside of the images does not count
+  CHECK(all.height <= any.height() + 40);
+  CHECK(all.width <= any.width() + 40);
+  CHECK(all.width >= wide.width);
+  CHECK(window_around(scene, ground(middle[0] + 5e3, middle[1], 10, 10)).count() == 0);
+  // corners at any height fall into the crop of that size
+  const Crop crop = make_crop(scene, {.sources = {0, 1},
+                                      .centre = {middle[0], middle[1], scene.z_range.middle()},
+                                      .size = wide,
+                                      .z_range = scene.z_range});
+  const Ground g = ground(middle[0], middle[1], 12, 3);
+  for (const nn::PosedImage& view : crop.input.sources) {
+    CHECK(view.rgb.shape() == Shape{3, wide.height, wide.width});
+    for (const double x : {g.x0, g.x1})
+      for (const double y : {g.y0, g.y1})
+        for (const double z : {scene.z_range.low, scene.z_range.high}) {
+          const auto p = view.pixel_from_local(x, y, z);
+          CHECK(p[0] > 0);
+          CHECK(p[1] > 0);
+          CHECK(p[0] < static_cast<double>(wide.width - 1));
+          CHECK(p[1] < static_cast<double>(wide.height - 1));
+        }
+  }
+}
+
 TEST_CASE("pixels outside an image are invalid") {
   const TempFolder folder("dataset-3");
   write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
   const Scene scene = load_scene(folder.path(), "SIM_001");
-  const Crop crop = make_crop(scene, {.sources = {0, 1}, .size = 128, .z_range = scene.z_range});
+  const Crop crop =
+      make_crop(scene, {.sources = {0, 1}, .size = {128, 128}, .z_range = scene.z_range});
   const Tensor& valid = crop.input.sources[0].valid;
   CHECK(valid[0] == 0);
   CHECK(valid[64 * 128 + 64] == 1);
@@ -156,7 +201,7 @@ TEST_CASE("a camera that sees the middle of a crop nowhere near its image is nam
   const auto middle = rpc::utm_from_geodetic(scene.frame.zone, 21, 10);
   scene.frame.easting0 = middle[0], scene.frame.northing0 = middle[1];
   const auto crop = [&] {
-    return make_crop(scene, {.sources = {0, 1}, .size = 32, .z_range = {0, 40}});
+    return make_crop(scene, {.sources = {0, 1}, .size = {32, 32}, .z_range = {0, 40}});
   };
   CHECK(crop().input.sources.size() == 2);
   for (const double shift : {1e300, double{INFINITY}, std::nan("")}) {
