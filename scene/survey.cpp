@@ -177,6 +177,16 @@ std::vector<View> heads_of(const Survey& survey) {
   return heads;
 }
 
+/// Shifts the cameras of the copies as the pointing of the whole images says.
+void shift_copies(Survey& survey) {
+  const double f = static_cast<double>(survey.factor);
+  for (std::size_t i = 0; i < survey.views.size(); ++i) {
+    const rpc::Pixel& s = survey.user.pointing->shifts[i];
+    View& copy = survey.user.scene.views[i];
+    copy.rpc = copy.rpc.cropped(-s.x / f, -s.y / f);
+  }
+}
+
 /// Measures the pointing of whole images and shifts the cameras, theirs and those of the copies.
 void correct_pointing(Survey& survey, const PointingChoice& choice,
                       const std::function<void()>& poll) {
@@ -189,13 +199,11 @@ void correct_pointing(Survey& survey, const PointingChoice& choice,
   survey.user.pointing = choice.given ? given_pointing(heads, known, ties, height)
                                       : pointing_from(heads, ties, height);
   if (!survey.user.pointing->applied) return;
-  const double f = static_cast<double>(survey.factor);
   for (std::size_t i = 0; i < survey.views.size(); ++i) {
     const rpc::Pixel& s = survey.user.pointing->shifts[i];
     survey.views[i].rpc = survey.views[i].rpc.cropped(-s.x, -s.y);
-    View& copy = survey.user.scene.views[i];
-    copy.rpc = copy.rpc.cropped(-s.x / f, -s.y / f);
   }
+  shift_copies(survey);
 }
 
 /// The copies of all images, the largest read first: where one is damaged and claims a size that
@@ -240,14 +248,17 @@ Survey survey_views(const std::vector<fs::path>& files, const std::vector<fs::pa
   of_copies.most_views = std::max(kMostSurveyed, rules.most_views);
   of_copies.together = Together::connected;
   if (!whole) of_copies.pointing = {.measure = false};
-  ViewList list(of_copies);
-  std::vector<rpc::Image> copies = reduced_copies(out, poll);
-  for (std::size_t i = 0; i < copies.size(); ++i) {
-    SurveyedView& view = out.views[i];
-    if (rules.validity.borders) note_border(view, copies[i], out.nodata);
-    list.add(std::exchange(copies[i], {}), view.source.file.stem().string(), view.source.file);
-  }
-  out.user = std::move(list).scene(wanted, poll);
+  const auto made_of_copies = [&](const ViewRules& by) {
+    ViewList list(by);
+    std::vector<rpc::Image> copies = reduced_copies(out, poll);
+    for (std::size_t i = 0; i < copies.size(); ++i) {
+      SurveyedView& view = out.views[i];
+      if (rules.validity.borders) note_border(view, copies[i], out.nodata);
+      list.add(std::exchange(copies[i], {}), view.source.file.stem().string(), view.source.file);
+    }
+    return std::move(list).scene(wanted, poll);
+  };
+  out.user = made_of_copies(of_copies);
   std::erase_if(out.views, [&](const SurveyedView& view) {  // those that were not chosen
     return std::ranges::none_of(out.user.scene.views,
                                 [&](const View& v) { return v.file == view.source.file; });
@@ -257,6 +268,15 @@ Survey survey_views(const std::vector<fs::path>& files, const std::vector<fs::pa
       out.views[i].rpc = out.user.scene.views[i].rpc;
   else
     correct_pointing(out, rules.pointing, poll);
+  if (std::string trouble = whole ? "" : terrain_contradicted(rules, out.user); !trouble.empty()) {
+    // Once more as if there were no such terrain; the choice of views does not depend on it.
+    of_copies.terrain = nullptr;
+    UserScene again = made_of_copies(of_copies);
+    again.pointing = std::move(out.user.pointing);
+    again.range.trouble = std::move(trouble);
+    out.user = std::move(again);
+    if (out.user.pointing->applied) shift_copies(out);
+  }
   for (std::size_t i = 0; i < out.views.size(); ++i)
     out.views[i].colours = out.user.scene.views[i].colours;
   return out;

@@ -328,6 +328,14 @@ void check_overlaps(const std::vector<View>& views, const std::vector<Polygon>& 
 
 }  // namespace
 
+std::string terrain_contradicted(const ViewRules& rules, const UserScene& user) {
+  const rpc::HeightRange& said = user.range.height_range;
+  if (!user.pointing || user.range.source != kTerrainRange || holds(said, user.pointing->heights))
+    return "";
+  return rules.terrain->path().string() + ": surface from " + span_text(said) +
+         ", the images see it from " + span_text(*user.pointing->heights) + ", expected it within";
+}
+
 void check_height_range(const rpc::HeightRange& wanted) {
   constexpr double kLeastSpan = 1;  // m
   if (wanted.span() >= kLeastSpan) return;
@@ -395,14 +403,11 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
       if (out.range.source == kMetadataRange && !holds(first, out.pointing->heights))
         out.range = {camera_range(scene.views), kCameraRange, out.range.trouble};
     }
-    if (const auto& heights = out.pointing->heights;
-        heights && out.range.source == kTerrainRange && !holds(first, heights)) {
-      out.range = known.source == kMetadataRange && holds(known.height_range, heights)
+    if (std::string trouble = terrain_contradicted(rules_, out); !trouble.empty()) {
+      out.range = known.source == kMetadataRange && holds(known.height_range, out.pointing->heights)
                       ? known
                       : RangeChoice{camera_range(scene.views), kCameraRange};
-      out.range.trouble = rules_.terrain->path().string() + ": surface from " + span_text(first) +
-                          ", the images see it from " + span_text(*heights) +
-                          ", expected it within";
+      out.range.trouble = std::move(trouble);
     }
   }
 

@@ -91,6 +91,10 @@ class ViewList {
   std::optional<rpc::HeightRange> named_;  // union of the ranges the images name
 };
 
+/// Why the range that the rules' terrain said does not hold the heights at which the images see their
+/// tie points, in words; nothing where it does, where something else said it, or without ties.
+std::string terrain_contradicted(const ViewRules& rules, const UserScene& user);
+
 /// Opens every view once and makes a scene of them, see `ViewList`.
 /// files       two or more images or Sat-NeRF JSON files
 /// image_dirs  where else to look for the images that JSON files name

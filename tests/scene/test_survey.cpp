@@ -5,8 +5,10 @@
 #include "satsurf/scene/simulate/scene.h"
 #include "satsurf/scene/survey.h"
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -108,4 +110,59 @@ TEST_CASE("the border of an image is left out of its windows too") {
   for (Index i = 0; i < view.valid.count(); ++i)
     wrong += (view.valid[i] > 0) != (window->x0 + i % view.width() >= 30);
   CHECK(wrong == 0);
+}
+
+TEST_CASE("a terrain that the ties of large images contradict says nothing") {
+  // 700 px made three times as large: more than a copy holds.
+  constexpr Index kTimes = 3, kSmall = 700, kLarge = kTimes * kSmall;
+  SimulateConfig config = SimulateConfig();
+  config.pixels = kSmall, config.views = 2, config.gsd = 0.5, config.water = 0;
+  config.kinds = {SceneKind::village}, config.same_pass = 1, config.panchromatic = 1;
+  const SimulatedScene made = simulate_scene(config, 5, 0);
+  const test::TempFolder folder("survey_terrain");
+  std::vector<std::filesystem::path> images;
+  for (std::size_t i = 0; i < 2; ++i) {
+    auto values = Tensor::uninitialised({1, kLarge, kLarge});
+    for (Index y = 0; y < kLarge; ++y)
+      for (Index x = 0; x < kLarge; ++x) {
+        const auto at = [](Index k) {
+          return std::clamp((static_cast<float>(k) + 0.5f) / kTimes - 0.5f, 0.f,
+                            static_cast<float>(kSmall) - 1.001f);
+        };
+        const float u = at(x), v = at(y);
+        const auto j = static_cast<Index>(u), k = static_cast<Index>(v);
+        const float a = u - static_cast<float>(j), b = v - static_cast<float>(k);
+        const float* p = made.views[i].rgb.data() + k * kSmall + j;
+        values[y * kLarge + x] = 255 * ((1 - b) * ((1 - a) * p[0] + a * p[1]) +
+                                        b * ((1 - a) * p[kSmall] + a * p[kSmall + 1]));
+      }
+    rpc::Rpc camera = made.views[i].rpc;
+    camera.samp_off = kTimes * (camera.samp_off + 0.5) - 0.5, camera.samp_scale *= kTimes;
+    camera.line_off = kTimes * (camera.line_off + 0.5) - 0.5, camera.line_scale *= kTimes;
+    images.push_back(folder / ("view_" + std::to_string(i) + ".tif"));
+    rpc::write_rpc_geotiff(images.back(), values, rpc::PixelType::uint8, camera);
+  }
+  const double ground = made.frame.h0 + static_cast<double>(made.dsm.z[0]);
+  const auto surveyed = [&](double height) {
+    rpc::write_geo_raster(
+        folder / "dem.tif", Tensor({80, 80}, static_cast<float>(height)),
+        {made.frame.zone.epsg(), made.frame.easting0 - 400, made.frame.northing0 + 400, 10},
+        rpc::ellipsoidal_height("Terrain"));
+    ViewRules rules;
+    rules.terrain = std::make_shared<rpc::Terrain>(folder / "dem.tif");
+    return survey_views(images, {}, {}, {}, rules);
+  };
+  const Survey right = surveyed(ground);
+  REQUIRE(right.factor == 2);
+  CHECK(right.user.range.source == "from the terrain");
+  CHECK(right.user.range.trouble.empty());
+  REQUIRE(right.user.pointing);
+  REQUIRE(right.user.pointing->heights);
+
+  const Survey wrong = surveyed(ground + 40);  // its range begins above the ground
+  CHECK(wrong.user.range.source == "found by comparing the images");
+  CHECK(wrong.user.range.trouble.find("the images see it from") != std::string::npos);
+  CHECK(wrong.user.range.height_range.low < ground + 5);
+  CHECK(wrong.user.pointing.has_value());
+  CHECK(wrong.views.size() == 2);
 }
