@@ -47,6 +47,41 @@ bool is_partial(const std::string& name, const std::string& file) {
 
 }  // namespace
 
+namespace {
+
+/// Writes all of some bytes.
+/// returns  0, or the error's number
+int write_all(int fd, std::string_view bytes) {
+  while (!bytes.empty()) {
+    const ssize_t n = ::write(fd, bytes.data(), bytes.size());
+    if (n >= 0)
+      bytes.remove_prefix(static_cast<std::size_t>(n));
+    else if (errno != EINTR)
+      return errno;
+  }
+  return 0;
+}
+
+/// Writes pieces one after the other, small ones together: weights have hundreds of tensors.
+/// returns  0, or the error's number
+int write_pieces(int fd, std::span<const std::string_view> pieces) {
+  constexpr std::size_t kTogether = std::size_t{1} << 20;  // bytes
+  std::string small;
+  for (const std::string_view piece : pieces) {
+    if (small.size() + piece.size() > kTogether) {
+      if (const int code = write_all(fd, small)) return code;
+      small.clear();
+    }
+    if (piece.size() < kTogether)
+      small += piece;
+    else if (const int code = write_all(fd, piece))
+      return code;
+  }
+  return write_all(fd, small);
+}
+
+}  // namespace
+
 void atomic_write(const std::filesystem::path& path, std::span<const std::string_view> pieces) {
   static std::atomic<unsigned> number{0};  // two threads may write the same file
   const std::filesystem::path folder = path.has_parent_path() ? path.parent_path() : ".";
@@ -60,16 +95,7 @@ void atomic_write(const std::filesystem::path& path, std::span<const std::string
   const int fd = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
   if (fd < 0) fail(path, "be created", errno);
   ::flock(fd, LOCK_EX | LOCK_NB);  // tells `remove_partial_files` that its writer lives
-  int code = 0;
-  for (std::string_view piece : pieces) {
-    while (!piece.empty() && code == 0) {
-      const ssize_t n = ::write(fd, piece.data(), piece.size());
-      if (n >= 0)
-        piece.remove_prefix(n);
-      else if (errno != EINTR)
-        code = errno;
-    }
-  }
+  int code = write_pieces(fd, pieces);
   if (code == 0 && ::fsync(fd) != 0) code = errno;
   if (::close(fd) != 0 && code == 0) code = errno;
   if (code == 0 && ::rename(temporary.c_str(), path.c_str()) != 0) code = errno;

@@ -317,6 +317,11 @@ TEST_CASE("atomic_write: replaces whole files and leaves nothing else") {
   const std::string_view pieces[] = {"two ", "", "pieces"};
   atomic_write(path, pieces);
   CHECK(read_bytes(path) == "two pieces");
+  // small pieces are written together, large ones as they are, all in their order
+  const std::string large(3 << 20, 'l'), half(600 << 10, 'h');
+  const std::string_view many[] = {"a", half, "b", half, large, "c", "", "d"};
+  atomic_write(path, many);
+  CHECK(read_bytes(path) == "a" + half + "b" + half + large + "cd");
   CHECK(std::distance(std::filesystem::directory_iterator(path.parent_path()), {}) == 1);
 
   const std::string occupied = (folder / "new").string();  // a folder cannot be replaced by a file
