@@ -151,8 +151,9 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
   const auto factor = static_cast<Index>(std::max(
       kLeastFactor, std::ceil(static_cast<double>(largest) / static_cast<double>(kMostPixels))));
   scene::Scene small = smaller(scene, factor);
-  const scene::WindowSize size =
-      scene::rounded_up(scene::largest_image(small), nn::size_multiple(model.config()));
+  const scene::WindowSize size = scene::rounded_up(
+      scene::largest_image(small, small.frame.geodetic_from_local(middle_of(small))),
+      nn::size_multiple(model.config()));
   std::vector<Index> sources(small.views.size());
   std::iota(sources.begin(), sources.end(), Index{0});
   const Unwanted left_out(unwanted, scene);

@@ -197,14 +197,15 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   scene::WindowSize window{side, side};
   if (plan.whole_images) {
     const scene::WindowSize needed = scene::window_around(scene, ground);
-    window = {std::min(side, needed.height), std::min(side, needed.width)};
+    window = {std::min(side, std::max(multiple, needed.height)),
+              std::min(side, std::max(multiple, needed.width))};
   } else if (options.grid && options.window.count() > 0) {
     window = options.window;
   }
   plan.window = scene::rounded_up(window, multiple);
   plan.tiles = plan.whole_images || options.grid
                    ? std::vector<Ground>{ground}
-                   : tiles_of(ground, tile_side(side, cameras, scene.z_range.span()));
+                   : tiles_of(ground, tile_side(plan.window.height, cameras, scene.z_range.span()));
 
   const double step = options.resolution > 0 ? options.resolution : natural_step(footprint);
   const Grid grid = options.grid.value_or(grid_of(ground, scene.frame, step));

@@ -62,14 +62,11 @@ WindowSize rounded_up(const WindowSize& size, Index multiple) {
   return {up(size.height), up(size.width)};
 }
 
-WindowSize largest_image(const Scene& scene) {
+WindowSize largest_image(const Scene& scene, const rpc::Geodetic& where) {
   WindowSize most;
   for (const View& view : scene.views) {
-    const rpc::Geodetic middle = view.rpc.localize(
-        {0.5 * static_cast<double>(view.width()), 0.5 * static_cast<double>(view.height())},
-        scene.frame.h0 + scene.z_range.middle());
     const WindowSize size =
-        turned(WindowSize{view.height(), view.width()}, quarters_to_north(view.rpc, middle));
+        turned(WindowSize{view.height(), view.width()}, quarters_to_north(view.rpc, where));
     most = {std::max(most.height, size.height), std::max(most.width, size.width)};
   }
   return most;

@@ -26,8 +26,9 @@ struct WindowSize {
 };
 /// Both rounded up to multiples.
 WindowSize rounded_up(const WindowSize& size, Index multiple);
-/// Of images as they come out turned by `quarters_to_north`, the most rows and the most columns.
-WindowSize largest_image(const Scene& scene);
+/// Of the images as `quarters_to_north` turns them, the most rows and the most columns.
+/// where  a point that all of them show
+WindowSize largest_image(const Scene& scene, const rpc::Geodetic& where);
 /// The size, north up, of windows around the middle of some ground in which every view shows what
 /// it has of the ground, at all heights of the scene's range; 0 where none shows any.
 WindowSize window_around(const Scene& scene, const Ground& ground);

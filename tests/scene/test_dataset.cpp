@@ -140,13 +140,14 @@ TEST_CASE("the window around some ground holds what every image shows of it, and
   write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
   const Scene scene = load_scene(folder.path(), "SIM_001");
   const View& any = scene.views[0];
-  CHECK(largest_image(scene) == WindowSize{any.height(), any.width()});
   const auto ground = [](double x, double y, double w, double h) {
     return Ground{x - w, y - h, x + w, y + h};
   };
   const auto middle = scene.frame.local_from_geodetic(any.rpc.localize(
       {0.5 * static_cast<double>(any.width()), 0.5 * static_cast<double>(any.height())},
       scene.frame.h0 + scene.z_range.middle()));
+  CHECK(largest_image(scene, scene.frame.geodetic_from_local({middle[0], middle[1], 0})) ==
+        WindowSize{any.height(), any.width()});
   const WindowSize wide = window_around(scene, ground(middle[0], middle[1], 12, 3)),
                    high = window_around(scene, ground(middle[0], middle[1], 3, 12)),
                    all = window_around(scene, ground(middle[0], middle[1], 1e4, 1e4));
