@@ -50,7 +50,7 @@ scene::Crop sample_of(const std::vector<scene::Scene>& places, Index step) {
               .target = 3,
               .centre = {dsm.x0 + half + rng.uniform(-8, 8), dsm.y0 - half + rng.uniform(-8, 8),
                          0.5 * (place.z_range.low + place.z_range.high)},
-              .size = 32,
+              .size = {32, 32},
               .z_range = place.z_range,
               .with_truth = true});
 }

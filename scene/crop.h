@@ -21,6 +21,8 @@ int quarters_to_north(const rpc::Rpc& camera, const rpc::Geodetic& where);
 /// Rows and columns of pixels.
 struct WindowSize {
   Index height = 0, width = 0;
+  WindowSize() = default;
+  WindowSize(Index rows, Index columns) : height(rows), width(columns) {}  // never one number
   Index count() const { return height * width; }
   friend bool operator==(const WindowSize&, const WindowSize&) = default;
 };
