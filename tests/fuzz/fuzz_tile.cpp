@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tiles that a stopped run has left: plan, record, rasters and the note of its work.
+// The tiles that a stopped run has left: plan, record and rasters.
 #include "satsurf/app/tile_store.h"
 
 #include <cmath>
+#include <iterator>
 
 #include "tests/fuzz/fuzz.h"
 
 namespace satsurf::fuzz {
 
-constexpr const char* kNames[] = {"plan.json", "tile_0001_0002.json", "tile_0001_0002.safetensors",
-                                  "work"};
+constexpr const char* kNames[] = {"plan.json", "tile_0001_0002.json", "tile_0001_0002.safetensors"};
 
 void run(std::string_view bytes) {
   Bytes in(bytes);
-  const char* name = kNames[in.take<std::uint8_t>() % 4];
+  const char* name = kNames[in.take<std::uint8_t>() % std::size(kNames)];
   const auto tiles = folder().path() / "out.tiles";
   std::filesystem::create_directories(tiles);
   folder().put("out.tiles/plan.json", "{\"a\": 1.5}");
@@ -22,7 +22,6 @@ void run(std::string_view bytes) {
   {
     app::TileStore store(folder().path() / "out", true, false);
     only<IoError, ConfigError>([&] { store.begin({{"a", 1.5}}); });
-    only<IoError>([&] { store.note_work(folder().path() / "out.partial-1"); });
     only<IoError>([&] {
       if (const auto record = store.find(tile))
         require(std::isfinite(record->z_range.low) && std::isfinite(record->z_range.high) &&
