@@ -11,7 +11,7 @@ set(satsurf_internal_headers
   "/nn/parameter_limit\\.h$"
   "/mesh/sampled_view\\.h$"
   "/scene/(grey_pyramid|ray_walk|satnerf|sight_lines|whu)\\.h$"
-  "/scene/simulate/(city|conditions|develop|dress|given|layout|natural|noise|orbit|render|texture)\\.h$"
+  "/scene/simulate/(city|conditions|develop|draw|dress|given|layout|natural|noise|orbit|render|texture)\\.h$"
   "/reconstruct/(cast|cell_mode|cell_surfels|cross_check|fusion|horizon|narrow|surface_input|trust)\\.h$"
   "/train/(sample_batch)\\.h$"
   "/evaluate/score_views\\.h$")

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/scene/simulate/conditions.h"
 
+#include "satsurf/scene/simulate/draw.h"
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -9,11 +11,6 @@ namespace satsurf::scene::simulate {
 namespace {
 
 constexpr double kRadians = std::numbers::pi / 180;
-
-double log_uniform(Rng& rng, double low, double high) {
-  return low * std::pow(high / low, rng.uniform());
-}
-float draw(Rng& rng, double low, double high) { return static_cast<float>(rng.uniform(low, high)); }
 
 // From 1 at midsummer to -1 at midwinter of a hemisphere, scaled down towards the equator.
 double summer(double lat_deg, int day_of_year) {

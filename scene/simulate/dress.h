@@ -2,13 +2,10 @@
 // What the parts of buildings look like, and the pieces all plans are put together from.
 #pragma once
 
+#include "satsurf/scene/simulate/draw.h"
 #include "satsurf/scene/simulate/layout.h"
 
 namespace satsurf::scene::simulate {
-
-inline float draw(Rng& rng, double low, double high) {
-  return static_cast<float>(rng.uniform(low, high));
-}
 
 inline Colour grey(float g, float warm = 1.0f) { return {g * warm, g, g / warm}; }
 

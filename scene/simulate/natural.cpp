@@ -1,22 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/scene/simulate/natural.h"
 
+#include "satsurf/scene/simulate/draw.h"
 #include "satsurf/scene/simulate/noise.h"
 
 #include <algorithm>
 #include <cmath>
 
 namespace satsurf::scene::simulate {
-namespace {
-
-float log_uniform(Rng& rng, double low, double high) {
-  return static_cast<float>(low * std::pow(high / low, rng.uniform()));
-}
-float uniform(Rng& rng, double low, double high) {
-  return static_cast<float>(rng.uniform(low, high));
-}
-
-}  // namespace
 
 DarkGround::DarkGround(const CityPlan& plan, const Rng& rng) {
   const auto noise = [&](double period, int octaves, std::uint64_t key) {
@@ -26,23 +17,24 @@ DarkGround::DarkGround(const CityPlan& plan, const Rng& rng) {
                           .gain = 0.55f,
                           .seed = static_cast<std::uint32_t>(rng.fork(key).next_u64())});
   };
-  Rng draw = rng.fork(1);
-  if (draw.chance(0.6)) rock_ = log_uniform(draw, 0.12, 0.7);
-  if (draw.chance(0.4)) soil_ = log_uniform(draw, 0.2, 0.8);
-  if (draw.chance(0.6)) face_ = log_uniform(draw, 0.25, 1.2);
-  if (draw.chance(0.5)) {
-    layer_ = uniform(draw, 0.1, 0.6);
-    layer_height_ = log_uniform(draw, 1, 12);
-    folding_ = uniform(draw, 0, 1.5) * layer_height_;
+  Rng r = rng.fork(1);
+  if (r.chance(0.6)) rock_ = static_cast<float>(log_uniform(r, 0.12, 0.7));
+  if (r.chance(0.4)) soil_ = static_cast<float>(log_uniform(r, 0.2, 0.8));
+  if (r.chance(0.6)) face_ = static_cast<float>(log_uniform(r, 0.25, 1.2));
+  if (r.chance(0.5)) {
+    layer_ = draw(r, 0.1, 0.6);
+    layer_height_ = static_cast<float>(log_uniform(r, 1, 12));
+    folding_ = draw(r, 0, 1.5) * layer_height_;
   }
-  if (draw.chance(0.75)) {
-    stain_ = log_uniform(draw, 0.08, 0.5);
-    stain_above_ = uniform(draw, -0.1, 0.5);
-    stain_edge_ = log_uniform(draw, 2, 25);
+  if (r.chance(0.75)) {
+    stain_ = static_cast<float>(log_uniform(r, 0.08, 0.5));
+    stain_above_ = draw(r, -0.1, 0.5);
+    stain_edge_ = static_cast<float>(log_uniform(r, 2, 25));
   }
-  stains_ = noise(log_uniform(draw, 12, 90), 4, 2);
+  const auto period = static_cast<float>(log_uniform(r, 12, 90));  // m
+  stains_ = noise(period, 4, 2);
   folds_ = noise(60, 2, 3);
-  seed_ = static_cast<std::uint32_t>(draw.next_u64());
+  seed_ = static_cast<std::uint32_t>(r.next_u64());
 }
 
 float DarkGround::factor(Index cell, float z, float steepness, Material material) const {

@@ -6,6 +6,7 @@
 #include "satsurf/rpc/fit.h"
 #include "satsurf/scene/simulate/city.h"
 #include "satsurf/scene/simulate/conditions.h"
+#include "satsurf/scene/simulate/draw.h"
 #include "satsurf/scene/simulate/given.h"
 #include "satsurf/scene/simulate/orbit.h"
 #include "satsurf/scene/simulate/render.h"
@@ -22,10 +23,6 @@ using namespace simulate;
 
 constexpr double kRadians = std::numbers::pi / 180;
 constexpr double kFinestGsd = 0.3;  // m, where none is given
-
-double log_uniform(Rng& rng, double low, double high) {
-  return low * std::pow(high / low, rng.uniform());
-}
 
 SceneKind draw_kind(const SimulateConfig& config, Rng& rng) {
   if (config.kinds.empty()) throw ConfigError("simulate: kinds is empty, expected at least one");
