@@ -34,13 +34,19 @@ Tensor turned(const Tensor& map, Index symmetry) {
   if (axes < 2 || axes > 3 || map.dim(axes - 2) != S)
     throw ShapeError("turned: map has shape " + map.shape().str() + ", expected [S S] or [C S S]");
   auto out = Tensor::uninitialised(map.shape());
-  for (Index i = 0; i < map.count(); ++i) {
-    Index row = i / S % S, column = i % S;
-    if (symmetry & 1) column = S - 1 - column;
-    if (symmetry & 2) row = S - 1 - row;
-    if (symmetry & 4) std::swap(row, column);
-    out[i] = map[i / (S * S) * S * S + row * S + column];
-  }
+  if (out.count() == 0) return out;
+  // Where the map's cells for a row, and for the cells of that row, begin and how far apart they are.
+  const bool swapped = (symmetry & 4) != 0;
+  const Index row_step = (swapped ? 1 : S) * ((symmetry & 2) != 0 ? -1 : 1),
+              column_step = (swapped ? S : 1) * ((symmetry & 1) != 0 ? -1 : 1),
+              origin = (row_step < 0 ? -row_step : 0) * (S - 1) +
+                       (column_step < 0 ? -column_step : 0) * (S - 1);
+  float* to = out.data();
+  for (const float* plane = map.data(); plane < map.data() + map.count(); plane += S * S)
+    for (Index row = 0; row < S; ++row) {
+      const float* from = plane + origin + row * row_step;
+      for (Index column = 0; column < S; ++column) *to++ = from[column * column_step];
+    }
   return out;
 }
 

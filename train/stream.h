@@ -1,14 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/parallel.h"
+#include "satsurf/core/rng.h"
 #include "satsurf/core/shape.h"
 
+#include <chrono>
 #include <exception>
 #include <functional>
 #include <future>
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <utility>
 
 namespace satsurf::train {
@@ -24,44 +28,75 @@ class Stream {
   /// pool  things to draw from at any time
   /// make  the thing of a number: a pure function
   Stream(Index uses, Index pool, std::function<Item(Index)> make)
-      : uses_(uses), pool_(pool), make_(std::move(make)) {}
+      : uses_(uses), pool_(pool), make_(std::move(make)), ahead_of_need_(threads() > 1) {}
 
-  /// The number of the first of those that a sample may be taken from; there are `pool()`.
+  /// The number of the first of those that a sample may be taken from.
   Index first(Index sample) const { return sample / uses_; }
-  Index pool() const { return pool_; }
+  /// A random one of those that a sample may be taken from. Meanwhile a thread of its own makes those
+  /// that the next samples will want, where there is more than one thread.
+  /// throws  what `make` throws
+  std::shared_ptr<const Item> draw(Index sample, Rng& rng) {
+    constexpr Index kAhead = 2;  // one to hand out, one in the making
+    if (ahead_of_need_) prepare(first(sample), first(sample) + pool_ + kAhead);
+    return item(first(sample) + rng.below(pool_));
+  }
   /// A thing by its number: the same one whenever it is asked for, by any thread. It is made by the
   /// first who asks, on the threads that one has; those that no sample of its step wants any more
   /// are forgotten.
   /// throws  what `make` throws
   std::shared_ptr<const Item> item(Index number) {
-    std::promise<std::shared_ptr<const Item>> promise;
+    std::optional<Promise> promise;
     Made made;
-    bool is_new = false;
     {
       const std::lock_guard lock(mutex_);
       // A sample of the same step may still want one that the newest sample no longer does.
       items_.erase(items_.begin(), items_.lower_bound(number - pool_ - kMostOfAStep / uses_));
-      is_new = !items_.contains(number);
-      if (is_new) items_[number] = promise.get_future().share();
+      if (!items_.contains(number)) promise = promised(number);
       made = items_[number];
     }
-    if (!is_new) return made.get();  // made already, or whoever makes it is about to be done
+    if (promise) keep(*promise, number);
+    return made.get();  // at once, or when whoever makes it is done
+  }
+
+ private:
+  using Promise = std::promise<std::shared_ptr<const Item>>;
+  using Made = std::shared_future<std::shared_ptr<const Item>>;
+  static constexpr Index kMostOfAStep = 64;  ///< samples
+
+  /// Under the mutex: from now on everyone waits for this promise.
+  Promise promised(Index number) {
+    Promise promise;
+    items_[number] = promise.get_future().share();
+    return promise;
+  }
+
+  void keep(Promise& promise, Index number) {
     try {
       promise.set_value(std::make_shared<const Item>(make_(number)));
     } catch (...) {
       promise.set_exception(std::current_exception());
     }
-    return made.get();
   }
 
- private:
-  using Made = std::shared_future<std::shared_ptr<const Item>>;
-  static constexpr Index kMostOfAStep = 64;  ///< samples
+  /// Begins to make the first of [begin, end) that nobody has begun, unless one is in the making.
+  void prepare(Index begin, Index end) {
+    const std::lock_guard lock(mutex_);
+    if (maker_.valid() && maker_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)
+      return;
+    while (begin < end && items_.contains(begin)) ++begin;
+    if (begin == end) return;
+    maker_ = std::async(std::launch::async, [this, begin, promise = promised(begin)]() mutable {
+      const OnOneThread alone;
+      keep(promise, begin);
+    });
+  }
 
   Index uses_, pool_;
   std::function<Item(Index)> make_;
+  bool ahead_of_need_;
   std::mutex mutex_;
   std::map<Index, Made> items_;
+  std::future<void> maker_;  ///< last: its destructor waits, and what it makes needs the others
 };
 
 }  // namespace satsurf::train

@@ -123,7 +123,7 @@ class SurfaceTask : public TrainingTask {
     constexpr double kEnough = 0.3;
     SurfaceLesson window;
     for (int attempt = 0; attempt < kTries; ++attempt) {
-      const auto lesson = lessons_.item(lessons_.first(sample) + rng.below(lessons_.pool()));
+      const auto lesson = lessons_.draw(sample, rng);
       window = window_of(*lesson, config_.crop, rng);
       double known = 0;
       for (const float w : window.weight.values()) known += static_cast<double>(w);

@@ -139,10 +139,8 @@ scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::
 
 scene::Crop training_sample(const TrainConfig& config, SceneStream& scenes, std::uint64_t seed,
                             Index sample) {
-  const auto draw = [&](Rng& rng) {
-    return scenes.item(scenes.first(sample) + rng.below(scenes.pool()));
-  };
-  return cut_sample(config, draw, seed, sample);
+  return cut_sample(
+      config, [&](Rng& rng) { return scenes.draw(sample, rng); }, seed, sample);
 }
 
 bool needs_branch(const TrainConfig& config) {

@@ -213,6 +213,7 @@ TEST_CASE("the eight symmetries of a square are eight, and move all planes alike
   CHECK(values(1) == std::vector<float>{2, 1, 4, 3, 6, 5, 8, 7});
   CHECK(values(2) == std::vector<float>{3, 4, 1, 2, 7, 8, 5, 6});
   CHECK(values(4) == std::vector<float>{1, 3, 2, 4, 5, 7, 6, 8});
+  CHECK(values(5) == std::vector<float>{3, 1, 4, 2, 7, 5, 8, 6});
   std::set<std::vector<float>> all;
   for (Index s = 0; s < 8; ++s) all.insert(values(s));
   CHECK(all.size() == 8);

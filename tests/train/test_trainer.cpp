@@ -12,10 +12,13 @@
 #include "satsurf/train/trainer.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <fstream>
 #include <iterator>
+#include <mutex>
 #include <set>
+#include <thread>
 #include <utility>
 
 #include "tests/temp_folder.h"
@@ -280,6 +283,53 @@ TEST_CASE(
         }
     CHECK(most <= pool + kBatch / uses + 1);
   }
+}
+
+TEST_CASE("a stream's things are made ahead of need, each once, and drawn as if they were not") {
+  const int before = threads();
+  const auto drawn = [](int threads) {
+    set_threads(threads);
+    std::mutex mutex;
+    std::set<Index> made, elsewhere;
+    const std::thread::id here = std::this_thread::get_id();
+    std::vector<Index> out;
+    {
+      Stream<Index> stream(3, 4, [&](Index number) {
+        const std::lock_guard lock(mutex);
+        CHECK(made.insert(number).second);
+        if (std::this_thread::get_id() != here) elsewhere.insert(number);
+        return number;
+      });
+      for (Index sample = 0; sample < 60; ++sample) {
+        Rng rng = Rng(7).fork(static_cast<std::uint64_t>(sample));
+        out.push_back(*stream.draw(sample, rng));
+        CHECK(out.back() >= stream.first(sample));
+        CHECK(out.back() < stream.first(sample) + 4);
+        std::this_thread::sleep_for(std::chrono::milliseconds(1));
+      }
+    }
+    CHECK(elsewhere.empty() == (threads == 1));
+    CHECK(*made.rbegin() <= 19 + 4 + 2);
+    return out;
+  };
+  const std::vector<Index> alone = drawn(1);
+  if (before > 1) CHECK(drawn(before) == alone);
+  set_threads(0);
+}
+
+TEST_CASE("what fails ahead of need is told to who draws it") {
+  Stream<Index> stream(1, 2, [](Index number) {
+    if (number > 4) throw ConfigError("number " + std::to_string(number));
+    return number;
+  });
+  const auto all = [&] {
+    for (Index sample = 0; sample < 40; ++sample) {
+      Rng rng = Rng(7).fork(static_cast<std::uint64_t>(sample));
+      stream.draw(sample, rng);
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+  };
+  CHECK_THROWS_AS(all(), ConfigError);
 }
 
 TEST_CASE("training lowers the error on samples it has not seen") {
