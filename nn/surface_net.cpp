@@ -26,33 +26,14 @@ constexpr Index kMultiple = 16;
 /// A height of any size as a number of order 1: differences of noise and those of towers both tell.
 double squeezed(double z) { return 0.5 * std::asinh(z); }
 
-/// The planes that the first convolution reads, in their order.
-std::vector<Index> planes_of(const SurfaceConfig& config) {
-  std::vector<Index> out;
-  const auto add = [&](SurfacePlane first, Index count) {
-    for (Index k = 0; k < count; ++k) out.push_back(static_cast<Index>(first) + k);
-  };
-  const Index K = config.candidates();
-  add(SurfacePlane::disagreement, K);
-  add(SurfacePlane::best_pair, K);
-  if (config.sight)
-    for (const SurfacePlane plane :
-         {SurfacePlane::seen, SurfacePlane::open, SurfacePlane::unhidden})
-      add(plane, K);
-  add(SurfacePlane::mode_share, kSurfacePlanes - static_cast<Index>(SurfacePlane::mode_share));
-  return out;
-}
-
 /// What the first convolution reads: of every candidate its height above the ground and above the
 /// mode, then the planes, then where there are surfels.
-Index channel_count(const SurfaceConfig& config) {
-  return 2 * config.candidates() + std::ssize(planes_of(config)) + 1;
-}
+constexpr Index kChannels = 2 * kSurfaceCandidates + kSurfacePlanes + 1;
 
 /// The channels of the network, padded with what a hole looks like: [1 C H W], H and W multiples of
 /// kMultiple.
 template <class T>
-BasicTensor<T> channels_of(const SurfaceConfig& config, const SurfaceInput& input) {
+BasicTensor<T> channels_of(const SurfaceInput& input) {
   Dims dim("surface_net");
   dim.match("candidates", input.candidates, "K H W").match("planes", input.planes, "C H W");
   const Index H = dim["H"], W = dim["W"], P = H * W;
@@ -62,11 +43,9 @@ BasicTensor<T> channels_of(const SurfaceConfig& config, const SurfaceInput& inpu
                      std::to_string(kSurfaceCandidates) + " and " + std::to_string(kSurfacePlanes) +
                      " of them");
   const auto up = [](Index n) { return (n + kMultiple - 1) / kMultiple * kMultiple; };
-  const Index h = up(H), w = up(W), p = h * w, K = config.candidates();
+  const Index h = up(H), w = up(W), p = h * w, K = kSurfaceCandidates;
   constexpr double kGroundUnit = 3;  // m
-  const std::vector<Index> planes = planes_of(config);
-  const Index channels = channel_count(config);
-  BasicTensor<T> out({1, channels, h, w});
+  BasicTensor<T> out({1, kChannels, h, w});
   const float* z = input.candidates.data();
   const auto of = [](SurfaceCandidate c) { return static_cast<Index>(c); };
   for_each_index(H, [&](Index i) {
@@ -82,20 +61,11 @@ BasicTensor<T> channels_of(const SurfaceConfig& config, const SurfaceInput& inpu
         if (std::isfinite(mode))
           out[(K + k) * p + to] = static_cast<T>(squeezed((height - mode) / input.interval));
       }
-      for (std::size_t c = 0; c < planes.size(); ++c)
-        out[(2 * K + static_cast<Index>(c)) * p + to] =
-            static_cast<T>(input.planes[planes[c] * P + from]);
-      out[(channels - 1) * p + to] = std::isfinite(mode) ? T{1} : T{0};
+      for (Index c = 0; c < kSurfacePlanes; ++c)
+        out[(2 * K + c) * p + to] = static_cast<T>(input.planes[c * P + from]);
+      out[(kChannels - 1) * p + to] = std::isfinite(mode) ? T{1} : T{0};
     }
   });
-  return out;
-}
-
-/// The first K of them.
-Tensor first_of(const Tensor& candidates, Index K) {
-  if (K == candidates.dim(0)) return candidates;
-  auto out = Tensor::uninitialised({K, candidates.dim(1), candidates.dim(2)});
-  std::copy_n(candidates.data(), out.count(), out.data());
   return out;
 }
 
@@ -103,12 +73,8 @@ Tensor first_of(const Tensor& candidates, Index K) {
 
 template <class T>
 SurfaceNet<T>::SurfaceNet(ParameterSet<T>& p, const SurfaceConfig& config)
-    : stem_(p, "stem", channel_count(config), config.base, 3),
-      head_(p, "head", config.base, config.candidates() + 2, 3),
-      config_(config) {
-  if (config.sight)
-    direct_ = p.create("direct", {config.candidates() + 2, channel_count(config), 1, 1},
-                       Init::constant(0), true);
+    : stem_(p, "stem", kChannels, config.base, 3),
+      head_(p, "head", config.base, kSurfaceCandidates + 2, 3) {
   for (std::size_t l = 0; l < kSame.size(); ++l) {
     const Index in = kWidths[l] * config.base, out = kWidths[l + 1] * config.base;
     const std::string level = "down" + std::to_string(Index{2} << l);
@@ -127,8 +93,7 @@ SurfaceNet<T>::SurfaceNet(ParameterSet<T>& p, const SurfaceConfig& config)
 
 template <class T>
 SurfaceOutput<T> SurfaceNet<T>::operator()(const SurfaceInput& input) const {
-  const BasicVar<T> channels(channels_of<T>(config_, input));
-  std::vector<BasicVar<T>> skips{relu(stem_(channels))};
+  std::vector<BasicVar<T>> skips{relu(stem_(BasicVar<T>(channels_of<T>(input))))};
   for (const Down& down : down_) {
     BasicVar<T> x = relu(down.halve(skips.back()));
     for (const Conv2d<T>& same : down.same) x = relu(same(x));
@@ -141,34 +106,34 @@ SurfaceOutput<T> SurfaceNet<T>::operator()(const SurfaceInput& input) const {
     // a 1 x 1 convolution and a resampling commute; this order costs a quarter
     x = relu(up.same(resize_bilinear(up.reduce(x), skip.dim(2), skip.dim(3)) + skip));
   }
-  BasicVar<T> all = head_(x);
-  // As if the few weights of the linear part had ten times the learning rate: they have as far to go
-  // as any and nothing in front of them that could grow instead.
-  constexpr T kQuick = 10;
-  if (direct_) all = all + affine(conv2d<T>(channels, *direct_, {}, {}), kQuick, T{0});
+  const BasicVar<T> all = head_(x);
   const Index H = input.planes.dim(1), W = input.planes.dim(2);
   const auto cut = [&](Index first, Index last, const Shape& shape) {
     return reshape(slice(slice(slice(all, 1, first, last), 2, 0, H), 3, 0, W), shape);
   };
-  const Index K = config_.candidates();
-  return {first_of(input.candidates, K), cut(0, K, {K, H, W}), cut(K, K + 1, {H, W}),
-          cut(K + 1, K + 2, {H, W})};
+  constexpr Index K = kSurfaceCandidates;
+  return {cut(0, K, {K, H, W}), cut(K, K + 1, {H, W}), cut(K + 1, K + 2, {H, W})};
+}
+
+bool has_candidate(const Tensor& candidates, Index cell) {
+  const Index P = candidates.dim(1) * candidates.dim(2);
+  for (Index k = 0; k < candidates.dim(0); ++k)
+    if (std::isfinite(candidates[k * P + cell])) return true;
+  return false;
 }
 
 RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
   const NoGrad no_grad;
   const SurfaceOutput<float> out = network(input);
   RefinedSurface surface{
-      chosen_height(out.logits, out.residual, out.candidates, kSurfaceReach * input.interval)
+      chosen_height(out.logits, out.residual, input.candidates, kSurfaceReach * input.interval)
           .value(),
       Tensor::uninitialised(out.log_scale.shape())};
   const Index P = surface.heights.count();
   // A Laplace distribution of mean error b has 68.3 % of its mass within 1.148 b.
   constexpr double kSigma = 1.148;
   for (Index i = 0; i < P; ++i) {
-    bool any = false;
-    for (Index k = 0; k < out.candidates.dim(0); ++k)
-      any = any || std::isfinite(out.candidates[k * P + i]);
+    const bool any = has_candidate(input.candidates, i);
     surface.sigma[i] =
         any ? static_cast<float>(
                   kSigma *

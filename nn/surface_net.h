@@ -6,7 +6,6 @@
 
 #include <array>
 #include <cstdint>
-#include <optional>
 #include <vector>
 
 namespace satsurf::nn {
@@ -19,19 +18,15 @@ enum class SurfaceCandidate : Index {
   high,    ///< the tenth of them lie above
   around,  ///< the median of the modes nearby, smooth; there is one in holes, too
   ground,  ///< the level of the ground
-  valley,  ///< the level of the ground further around
 };
-inline constexpr Index kSurfaceCandidates = 7;
+inline constexpr Index kSurfaceCandidates = 6;
 
 /// What else is known of every cell: where each kind of plane begins. Unitless and of order 1, and
 /// the same whichever way the grid is turned.
 enum class SurfacePlane : Index {
-  disagreement = 0,                   ///< K: of the images where they show each candidate
-  best_pair = kSurfaceCandidates,     ///< K: of the two of them that agree best
-  seen = 2 * kSurfaceCandidates,      ///< K: images from which the modes do not hide it, a quarter
-  open = 3 * kSurfaceCandidates,      ///< K: alike, where every cell is as low as it may be
-  unhidden = 4 * kSurfaceCandidates,  ///< K: disagreement of the latter alone
-  mode_share = 5 * kSurfaceCandidates,  ///< of the surfels' weight, what the mode's members have
+  disagreement = 0,                     ///< K: of the images where they show each candidate
+  best_pair = kSurfaceCandidates,       ///< K: of the two of them that agree best
+  mode_share = 2 * kSurfaceCandidates,  ///< of the surfels' weight, what the mode's members have
   second_share,                         ///< and the second's
   weight,                               ///< log(1 + weight of all surfels)
   confidence,                           ///< their mean
@@ -57,32 +52,19 @@ struct SurfaceInput {
 /// Every width of the surface network.
 struct SurfaceConfig {
   Index base = 12;  ///< channels at full resolution; x2, x4, x6, x8 at strides 2 to 16
-  /// Whether it is told which images see a candidate (`seen`, `open`, `unhidden`), may choose
-  /// `valley`, and adds what the channels say linearly.
-  bool sight = false;
-
-  /// Candidates that it is given, the first ones of `SurfaceCandidate`.
-  Index candidates() const {
-    return sight ? kSurfaceCandidates : static_cast<Index>(SurfaceCandidate::valley);
-  }
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
     v("base", s.base,
       Field{.help = "channels of the surface network at full resolution", .min = 1, .max = 64});
-    v("sight", s.sight,
-      Field{.help =
-                "tell it which images see a candidate past the surface around, and of the level "
-                "of the ground further away"});
   }
   friend bool operator==(const SurfaceConfig&, const SurfaceConfig&) = default;
 };
 
-/// What the surface network says of every cell; its height is `chosen_height` of the first two.
+/// What the surface network says of every cell; its height is `chosen_height` of the candidates.
 template <class T>
 struct SurfaceOutput {
-  Tensor candidates;      ///< [K H W] the input's that it chooses among, see SurfaceConfig
-  BasicVar<T> logits;     ///< [K H W] of these
+  BasicVar<T> logits;     ///< [K H W] of the candidates
   BasicVar<T> residual;   ///< [H W]
   BasicVar<T> log_scale;  ///< [H W] logarithm of the expected error, in intervals
 };
@@ -92,8 +74,7 @@ inline constexpr double kSurfaceReach = 2;
 
 /// A 2D U-Net on the grid of a surface: of candidates for every cell and what the images say of them
 /// it makes one height and says how unsure it is. It looks some 100 cells far. Nothing in it is
-/// normalised over the map, so that a cell's height does not depend on the size of the surface. With
-/// `sight`, what the channels of a cell say by themselves, linearly, is added to its answer.
+/// normalised over the map, so that a cell's height does not depend on the size of the surface.
 /// Source: after Stucker and Schindler 2022 (ResDepth); here it chooses before it corrects.
 template <class T>
 class SurfaceNet {
@@ -116,8 +97,6 @@ class SurfaceNet {
   std::vector<Down> down_;  ///< to strides 2, 4, 8, 16
   std::vector<Up> up_;      ///< to strides 8, 4, 2, 1
   Conv2d<T> head_;
-  std::optional<BasicVar<T>> direct_;  ///< from the channels to the answer, at first nothing
-  SurfaceConfig config_;
 };
 
 /// A surface network with its own parameters.
@@ -149,6 +128,9 @@ struct RefinedSurface {
   /// are within it and 94 % within twice as much.
   Tensor sigma;
 };
+/// Whether a cell has any candidate at all.
+/// candidates  [K H W]
+bool has_candidate(const Tensor& candidates, Index cell);
 /// Applies a network.
 /// throws  ShapeError
 RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input);

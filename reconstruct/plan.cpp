@@ -139,7 +139,7 @@ WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surfa
   constexpr double kSplat = 24, kMaps = 19;       // floats a surfel, floats a cell, to render
   constexpr double kLists = 21;                   // floats a surfel, beside the tensors
   constexpr double kFuse = 18, kFused = 5;        // floats a surfel, floats a cell, to fuse
-  constexpr double kRefine = 18, kRefined = 150;  // alike, to refine
+  constexpr double kRefine = 18, kRefined = 100;  // alike, to refine
   constexpr double kHeights = 9, kMesh = 110;     // floats a pixel, floats a column of voxels
   const Index views = size.views;
   const double pixels = size.pixels, cells = size.cells;
@@ -194,15 +194,11 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   const Index multiple = nn::size_multiple(model);
   plan.whole_images = !options.grid && options.tile == 0 && largest <= kWholeImage;
   const Index side = plan.whole_images ? largest : options.tile > 0 ? options.tile : kTile;
-  scene::WindowSize window{side, side};
-  if (plan.whole_images) {
-    const scene::WindowSize needed = scene::window_around(scene, ground);
-    window = {std::min(side, std::max(multiple, needed.height)),
-              std::min(side, std::max(multiple, needed.width))};
-  } else if (options.grid && options.window.count() > 0) {
-    window = options.window;
-  }
-  plan.window = scene::rounded_up(window, multiple);
+  const bool given = options.grid && options.window.count() > 0;
+  plan.window =
+      plan.whole_images
+          ? scene::window_around(scene, ground, side, multiple)
+          : scene::rounded_up(given ? options.window : scene::WindowSize{side, side}, multiple);
   plan.tiles = plan.whole_images || options.grid
                    ? std::vector<Ground>{ground}
                    : tiles_of(ground, tile_side(plan.window.height, cameras, scene.z_range.span()));

@@ -235,9 +235,9 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
   return all;
 }
 
-nn::SurfaceInput input_of(const Gathered& all, const Reconstruction& made, bool sight) {
+nn::SurfaceInput input_of(const Gathered& all, const Reconstruction& made) {
   return surface_input(all.surfels.means.value(), all.confidence, all.evidence, all.grid,
-                       made.images, sight);
+                       made.images);
 }
 
 /// The surface as the network makes it, where two images or more show it. Its confidence is that of
@@ -280,8 +280,7 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
   FusedSurface surface;
   switch (surface_kind(options)) {
     case Surface::refined:
-      surface =
-          refined(*options.network, input_of(all, out, options.network->config().sight), out.sigma);
+      surface = refined(*options.network, input_of(all, out), out.sigma);
       break;
     case Surface::plain:
       surface = fuse_surfels(all.surfels.means.value(), all.confidence, all.evidence, all.grid);
@@ -306,7 +305,7 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
 }
 
 UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& whole,
-                                   const ReconstructOptions& options, bool sight) {
+                                   const ReconstructOptions& options) {
   const NoGrad no_grad;
   const scene::Scene scene = narrowed(model, whole, options);
   ReconstructOptions how = options;
@@ -315,7 +314,7 @@ UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& w
   check_memory(plan, scene);
   Reconstruction made;
   const Gathered all = gather(model, scene, plan, Surface::refined, how, made);
-  return {input_of(all, made, sight), plan.east, plan.north, plan.step};
+  return {input_of(all, made), plan.east, plan.north, plan.step};
 }
 
 }  // namespace satsurf::reconstruct

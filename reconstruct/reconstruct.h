@@ -44,9 +44,8 @@ struct UnrefinedSurface {
   double x0 = 0, y0 = 0, step = 0;  ///< of its grid, as HeightField
 };
 /// A reconstruction up to where the surface network begins: what that one is trained with.
-/// sight   whether that one wants what `nn::SurfaceConfig::sight` names
 /// throws  as `reconstruct`
 UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& scene,
-                                   const ReconstructOptions& options, bool sight);
+                                   const ReconstructOptions& options);
 
 }  // namespace satsurf::reconstruct

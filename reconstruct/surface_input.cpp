@@ -5,7 +5,6 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/reconstruct/cell_mode.h"
 #include "satsurf/reconstruct/cell_surfels.h"
-#include "satsurf/reconstruct/horizon.h"
 
 #include <algorithm>
 #include <array>
@@ -122,7 +121,6 @@ constexpr std::size_t kMostImages = 16;  ///< that are looked at
 struct Look {
   double local;                  ///< brightness as `nn::locally_normalised` makes it
   std::array<double, 3> colour;  ///< standardised
-  double open = 1;               ///< how much of the point is not surely hidden from it
 };
 
 /// What the images show.
@@ -167,66 +165,25 @@ class Appearance {
 /// How much the images that show a point differ there.
 struct Disagreement {
   double mean = 1, best = 1;
-  double unhidden = 1;  ///< of those that it is not surely hidden from
 };
 
 Disagreement disagreement_of(const std::array<Look, kMostImages>& looks, std::size_t n) {
   if (n < 2) return {};
-  constexpr double kPrior = 0.05;  // pairs
-  double sum = 0, best = INFINITY, unhidden = kPrior, weight = kPrior;
+  double sum = 0, best = INFINITY;
   for (std::size_t i = 0; i < n; ++i)
     for (std::size_t j = 0; j < i; ++j) {
-      const double d = std::abs(looks[i].local - looks[j].local), w = looks[i].open * looks[j].open;
+      const double d = std::abs(looks[i].local - looks[j].local);
       sum += d;
       best = std::min(best, d);
-      unhidden += 0.5 * w * d, weight += w;
     }
-  return {sum / static_cast<double>(n * (n - 1)), best, unhidden / weight};
-}
-
-/// The heights below which cells are hidden from an image.
-struct Occlusion {
-  Tensor by_modes;  ///< [H W] where the surface is that of the modes
-  Tensor surely;    ///< [H W] where it is as low as the surfels allow
-};
-
-/// Of every image that is looked at.
-std::vector<Occlusion> occlusions_of(const Tensor& candidates, const FusionGrid& grid,
-                                     std::size_t count, const std::vector<nn::PosedImage>& images) {
-  const Index P = grid.height * grid.width;
-  const auto of = [&](SurfaceCandidate c) { return candidates.data() + at(c) * P; };
-  const float *mode = of(SurfaceCandidate::mode), *around = of(SurfaceCandidate::around),
-              *lowest = of(SurfaceCandidate::low);
-  Tensor modes({grid.height, grid.width}), low({grid.height, grid.width});
-  double sum = 0, known = 0;
-  for (Index i = 0; i < P; ++i) {
-    modes[i] = std::isfinite(mode[i]) ? mode[i] : around[i];
-    low[i] = lowest[i];
-    if (std::isfinite(mode[i])) sum += static_cast<double>(mode[i]), known += 1;
-  }
-  const double x = grid.east + 0.5 * grid.step * static_cast<double>(grid.width),
-               y = grid.north - 0.5 * grid.step * static_cast<double>(grid.height),
-               z = known > 0 ? sum / known : 0;
-  std::vector<Occlusion> out;
-  for (std::size_t v = 0; v < count; ++v) {
-    const auto pixel = images[v].pixel_from_local(x, y, z);
-    const auto ray = images[v].local_from_pixel.jacobian(pixel[0], pixel[1], z);
-    const std::array to_camera{ray[0][2], ray[1][2]};
-    out.push_back({horizon(modes, grid.step, to_camera), horizon(low, grid.step, to_camera)});
-  }
-  return out;
-}
-
-/// How much of a point is seen above a horizon.
-double seen_share(double z, float horizon, double interval) {
-  return std::clamp(1 + (z - static_cast<double>(horizon)) / interval, 0.0, 1.0);
+  return {sum / static_cast<double>(n * (n - 1)), best};
 }
 
 }  // namespace
 
 nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
                                const SurfelEvidence& evidence, const FusionGrid& grid,
-                               const std::vector<nn::PosedImage>& images, bool sight) {
+                               const std::vector<nn::PosedImage>& images) {
   Dims dim("surface_input");
   dim.match("means", means, "P 3").match("confidence", confidence, "P");
   dim.match("weight", evidence.weight, "P").match("rays", evidence.rays, "P 2");
@@ -265,21 +222,15 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
 
   const Blocks blocks = blocks_of(candidate + at(SurfaceCandidate::mode) * P, grid);
   constexpr int kGrow = 4;
-  constexpr Index kNear = 4, kFar = 16;  // blocks
+  constexpr Index kNear = 4;  // blocks
   spread_over_cells(grown(blocks.median, kGrow), blocks.side, grid,
                     candidate + at(SurfaceCandidate::around) * P);
-  const auto put_level = [&](SurfaceCandidate level, Index reach) {
-    spread_over_cells(
-        of_neighbours(blocks.low, reach,
-                      [](std::vector<float>& known, float) { return quantile(known, 0.1); }),
-        blocks.side, grid, candidate + at(level) * P);
-  };
-  put_level(SurfaceCandidate::ground, kNear);
-  if (sight) put_level(SurfaceCandidate::valley, kFar);
+  spread_over_cells(
+      of_neighbours(blocks.low, kNear,
+                    [](std::vector<float>& known, float) { return quantile(known, 0.1); }),
+      blocks.side, grid, candidate + at(SurfaceCandidate::ground) * P);
 
   const Appearance appearance(images);
-  std::vector<Occlusion> hidden;
-  if (sight) hidden = occlusions_of(out.candidates, grid, appearance.count(), images);
   for_each_index(H, [&](Index i) {
     std::array<Look, kMostImages> looks{};
     const double y = grid.north - (static_cast<double>(i) + 0.5) * grid.step;
@@ -291,28 +242,12 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
       for (Index k = 0; k < kSurfaceCandidates; ++k) {
         const auto z = static_cast<double>(candidate[k * P + cell]);
         std::size_t n = 0;
-        double seen = 0, open = 0;
         if (std::isfinite(z))
-          for (std::size_t v = 0; v < appearance.count(); ++v) {
-            Look& look = looks[n];
-            if (!appearance.look(v, x, y, z, k == shown, look)) continue;
-            if (sight) {
-              look.open = seen_share(z, hidden[v].surely[cell], grid.interval);
-              seen += seen_share(z, hidden[v].by_modes[cell], grid.interval), open += look.open;
-            }
-            ++n;
-          }
+          for (std::size_t v = 0; v < appearance.count(); ++v)
+            if (appearance.look(v, x, y, z, k == shown, looks[n])) ++n;
         const Disagreement d = disagreement_of(looks, n);
-        const auto put_for = [&](SurfacePlane p, double value) {
-          plane[(at(p) + k) * P + cell] = static_cast<float>(value);
-        };
-        put_for(SurfacePlane::disagreement, d.mean);
-        put_for(SurfacePlane::best_pair, d.best);
-        if (sight) {
-          put_for(SurfacePlane::seen, 0.25 * seen);
-          put_for(SurfacePlane::open, 0.25 * open);
-          put_for(SurfacePlane::unhidden, d.unhidden);
-        }
+        plane[(at(SurfacePlane::disagreement) + k) * P + cell] = static_cast<float>(d.mean);
+        plane[(at(SurfacePlane::best_pair) + k) * P + cell] = static_cast<float>(d.best);
         if (k != shown || n == 0) continue;
         std::array<double, 3> mean{};
         double darkest = INFINITY, brightest = -INFINITY;

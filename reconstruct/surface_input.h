@@ -12,22 +12,15 @@ namespace satsurf::reconstruct {
 /// Candidates: the modes of each cell's surfels as in `fuse_surfels`, weighed by the same evidence,
 /// and their tails; the median of the modes in blocks of 2.5 m, the unknown ones filled from their
 /// neighbours four times, and in between bilinear; and the lowest tenth of what the blocks within
-/// 11 m, and within 41 m, have for their lowest fifth.
+/// 11 m have for their lowest fifth.
 /// Disagreement: with each image's brightness as `nn::locally_normalised` makes it, read where the
 /// image shows the cell's middle at the candidate's height, the mean difference of all pairs of
 /// images that show it, halved, and that of the pair that agrees best; 1 where there is no pair.
-/// Sight: an image sees a candidate that is not below the `horizon` of a surface, fades to not at all
-/// one interval below it, and does not see what lies outside of it. The surfaces are the modes, with
-/// their holes filled from around, and the cells' low tails, which hide no more than what must. The
-/// disagreement of those that see it counts each pair by the product of what both see, and as much
-/// as a twentieth of a pair that differs by 1.
 /// means, confidence, evidence, grid  as `fuse_surfels`
 /// images  whole, with their cameras
-/// sight   whether the network wants what `nn::SurfaceConfig::sight` names; without, `valley` is
-///         unknown and the planes of sight are 0
 /// throws  ShapeError
 nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
                                const SurfelEvidence& evidence, const FusionGrid& grid,
-                               const std::vector<nn::PosedImage>& images, bool sight);
+                               const std::vector<nn::PosedImage>& images);
 
 }  // namespace satsurf::reconstruct

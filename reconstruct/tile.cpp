@@ -67,10 +67,8 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
       options.unwanted);
   ReconstructOptions how = options;
   how.grid = grid, how.narrow = false, how.mesh = {};
-  const scene::WindowSize needed = scene::window_around(scene, grid.ground());
-  how.window = scene::rounded_up({std::min(tiling.window, std::max<Index>(1, needed.height)),
-                                  std::min(tiling.window, std::max<Index>(1, needed.width))},
-                                 nn::size_multiple(model.config()));
+  how.window =
+      scene::window_around(scene, grid.ground(), tiling.window, nn::size_multiple(model.config()));
   Reconstruction made = reconstruct(model, scene, how);
 
   out.empty = false;

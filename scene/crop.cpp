@@ -72,9 +72,9 @@ WindowSize largest_image(const Scene& scene, const rpc::Geodetic& where) {
   return most;
 }
 
-WindowSize window_around(const Scene& scene, const Ground& ground) {
+WindowSize window_around(const Scene& scene, const Ground& ground, Index most, Index multiple) {
   constexpr double kRim = 2;  // px on every side, for interpolation
-  WindowSize most;
+  WindowSize needed(1, 1);
   for (const View& view : scene.views) {
     const auto pixel = [&](double x, double y, double z) {
       return view.rpc.project(scene.frame.geodetic_from_local({x, y, z}));
@@ -100,9 +100,9 @@ WindowSize window_around(const Scene& scene, const Ground& ground) {
         turned({static_cast<Index>(std::ceil(2 * (y + kRim))),
                 static_cast<Index>(std::ceil(2 * (x + kRim)))},
                quarters_to_north(view.rpc, scene.frame.geodetic_from_local(centre)));
-    most = {std::max(most.height, size.height), std::max(most.width, size.width)};
+    needed = {std::max(needed.height, size.height), std::max(needed.width, size.width)};
   }
-  return most;
+  return rounded_up({std::min(most, needed.height), std::min(most, needed.width)}, multiple);
 }
 
 Crop make_crop(const Scene& scene, const CropOptions& options) {

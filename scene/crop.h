@@ -32,8 +32,10 @@ WindowSize rounded_up(const WindowSize& size, Index multiple);
 /// where  a point that all of them show
 WindowSize largest_image(const Scene& scene, const rpc::Geodetic& where);
 /// The size, north up, of windows around the middle of some ground in which every view shows what
-/// it has of the ground, at all heights of the scene's range; 0 where none shows any.
-WindowSize window_around(const Scene& scene, const Ground& ground);
+/// it has of the ground, at all heights of the scene's range.
+/// most      pixels a side; of a larger window a view shows the middle alone
+/// multiple  that both sides are rounded up to, at least once
+WindowSize window_around(const Scene& scene, const Ground& ground, Index most, Index multiple);
 
 /// A window of every chosen view around one ground point, ready for the network: sources are
 /// turned until north is up.

@@ -66,8 +66,7 @@ SurfaceLesson lesson_of(const SurfaceTrainConfig& config, const std::vector<nn::
       rng.uniform(0, 1) < 0.5 ? scene.truth->step : rng.uniform(0.6, 1) * scene.truth->step;
   const nn::Model& cascade =
       cascades[static_cast<std::size_t>(rng.below(static_cast<Index>(cascades.size())))];
-  reconstruct::UnrefinedSurface made =
-      reconstruct::unrefined_surface(cascade, scene, how, config.surface.sight);
+  reconstruct::UnrefinedSurface made = reconstruct::unrefined_surface(cascade, scene, how);
   SurfaceLesson lesson;
   add_truth(scene, made, lesson);
   lesson.input = std::move(made.input);
@@ -148,14 +147,10 @@ StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& 
   const nn::SurfaceOutput<float> out = network(lesson.input);
   const Index P = lesson.truth.count();
   Tensor weight = lesson.weight.clone();
-  for (Index i = 0; i < P; ++i) {
-    bool any = false;
-    for (Index k = 0; k < out.candidates.dim(0); ++k)
-      any = any || std::isfinite(out.candidates[k * P + i]);
-    if (!any) weight[i] = 0;
-  }
-  const Var height =
-      chosen_height(out.logits, out.residual, out.candidates, nn::kSurfaceReach * unit);
+  const Tensor& candidates = lesson.input.candidates;
+  for (Index i = 0; i < P; ++i)
+    if (!nn::has_candidate(candidates, i)) weight[i] = 0;
+  const Var height = chosen_height(out.logits, out.residual, candidates, nn::kSurfaceReach * unit);
   // The likelihood pulls a height the harder the surer the network is: the last centimetres of level
   // ground would drown what is ten metres off. So it teaches the expected error alone.
   Var total = laplace_loss(Var(height.value()), out.log_scale, lesson.truth, weight, unit);
@@ -164,11 +159,11 @@ StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& 
             affine(laplace_loss(height, Var(Tensor(height.shape())), lesson.truth, weight, unit),
                    static_cast<float>(config.distance_weight), 0.f);
   if (config.choice_weight > 0)
-    total = total +
-            affine(candidate_cross_entropy(out.logits, out.candidates, lesson.truth, weight, unit),
-                   static_cast<float>(config.choice_weight), 0.f);
+    total =
+        total + affine(candidate_cross_entropy(out.logits, candidates, lesson.truth, weight, unit),
+                       static_cast<float>(config.choice_weight), 0.f);
   const auto candidate = [&](nn::SurfaceCandidate c) {
-    return lesson.input.candidates.data() + static_cast<Index>(c) * P;
+    return candidates.data() + static_cast<Index>(c) * P;
   };
   return {total,
           {{"height_mae", mean_distance(height.value().data(), lesson)},

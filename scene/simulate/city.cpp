@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 namespace satsurf::scene::simulate {
 namespace {
@@ -49,7 +50,7 @@ class Painter {
     lane_colour_ =
         r.chance(0.4) ? Colour{0.13f, 0.13f, 0.132f}
                       : Colour{1.25f * wild_soil_[0], 1.25f * wild_soil_[1], 1.25f * wild_soil_[2]};
-    if (layout.plan.dark) dark_ = DarkGround(layout.plan, rng.fork(3));
+    if (layout.plan.dark) dark_.emplace(layout.plan, rng.fork(3));
   }
 
   void run() {
@@ -109,8 +110,8 @@ class Painter {
         uneven * (grain + t.fine * fine_[k] + t.middle * middle_[k] + t.wide * wide_[k]);
     SurfaceCell& cell = city_.cells[static_cast<std::size_t>(k)];
     Colour shown = c;
-    if (layout_.plan.dark) {
-      const float dark = dark_.factor(k, z, steepness(i, j), m);
+    if (dark_) {
+      const float dark = dark_->factor(k, z, steepness(i, j), m);
       for (float& a : shown) a *= dark;
     }
     cell.set_albedo(shown, f);
@@ -401,7 +402,7 @@ class Painter {
   Tensor fine_, middle_, wide_;
   float rock_share_, green_share_, bumps_;
   Colour wild_soil_{}, wild_rock_{}, wild_grass_{}, lane_colour_{};
-  DarkGround dark_;
+  std::optional<DarkGround> dark_;
 };
 
 }  // namespace

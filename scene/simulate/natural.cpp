@@ -39,10 +39,9 @@ DarkGround::DarkGround(const CityPlan& plan, const Rng& rng) {
 
 float DarkGround::factor(Index cell, float z, float steepness, Material material) const {
   const bool rock = material == Material::rock;
-  if (stains_.empty() || !(rock || material == Material::soil || material == Material::grass ||
-                           material == Material::field)) {
+  if (!(rock || material == Material::soil || material == Material::grass ||
+        material == Material::field))
     return 1;
-  }
   float f = rock ? rock_ : material == Material::soil ? soil_ : 1.0f;
   const float face = std::clamp(2.5f * (steepness - 0.5f), 0.0f, 1.0f);
   f *= 1 + (face_ - 1) * face;

@@ -11,8 +11,6 @@ namespace satsurf::scene::simulate {
 /// a shadow or a roof.
 class DarkGround {
  public:
-  /// No such places.
-  DarkGround() = default;
   /// plan  gives grid and size
   DarkGround(const CityPlan& plan, const Rng& rng);
 
@@ -23,7 +21,7 @@ class DarkGround {
   float factor(Index cell, float z, float steepness, Material material) const;
 
  private:
-  Tensor stains_, folds_;  // noise; empty without such places
+  Tensor stains_, folds_;  // noise
   float rock_ = 1, soil_ = 1;
   float face_ = 1;                                    // of steep rock and soil
   float layer_ = 0, layer_height_ = 5, folding_ = 0;  // relative, m, m

@@ -35,19 +35,16 @@ bool same_bits(const Tensor& a, const Tensor& b) {
 }  // namespace
 
 TEST_CASE("the surface network takes surfaces of any size and keeps to the candidates") {
-  for (const auto& [H, W, sight] : {std::tuple<Index, Index, bool>{32, 48, false},
-                                    {37, 19, true},
-                                    {1, 1, false},
-                                    {5, 2, true}}) {
+  for (const auto& [H, W] : {std::pair<Index, Index>{32, 48}, {37, 19}, {1, 1}, {5, 2}}) {
     CAPTURE(H);
-    const SurfaceModel network({.base = 3, .sight = sight}, 1);
+    const SurfaceModel network({.base = 3}, 1);
     SurfaceInput input = some_input(std::max<Index>(H, 3), std::max<Index>(W, 3));
     const RefinedSurface out = refined(network, input);
     REQUIRE(out.heights.shape() == Shape{input.planes.dim(1), input.planes.dim(2)});
     const Index P = out.heights.count();
     for (Index i = 0; i < P; ++i) {
       double low = INFINITY, high = -INFINITY;
-      for (Index k = 0; k < network.config().candidates(); ++k)
+      for (Index k = 0; k < kSurfaceCandidates; ++k)
         if (const auto z = static_cast<double>(input.candidates[k * P + i]); std::isfinite(z))
           low = std::min(low, z), high = std::max(high, z);
       if (!(low <= high)) {
@@ -93,29 +90,13 @@ TEST_CASE("a cell's height does not depend on the surface far away, nor on the t
   CHECK(same_bits(alone.sigma, all.sigma));
 }
 
-TEST_CASE("a surface network without sight knows nothing of it, one with it does") {
-  SurfaceInput input = some_input(24, 32), other = input;
-  other.planes = input.planes.clone(), other.candidates = input.candidates.clone();
-  const Index P = 24 * 32;
-  const auto change = [&](Index from, Index count) {
-    for (Index i = from * P; i < (from + count) * P; ++i) other.planes[i] += 1;
-  };
-  for (const SurfacePlane plane : {SurfacePlane::seen, SurfacePlane::open, SurfacePlane::unhidden})
-    change(static_cast<Index>(plane), kSurfaceCandidates);
-  for (Index i = 0; i < P; ++i)
-    other.candidates[static_cast<Index>(SurfaceCandidate::valley) * P + i] += 3;
-  const SurfaceModel without({.base = 3}, 4), with({.base = 3, .sight = true}, 4);
-  CHECK(same_bits(refined(without, input).heights, refined(without, other).heights));
-  CHECK(!same_bits(refined(with, input).heights, refined(with, other).heights));
-}
-
 TEST_CASE("surface network: gradients in double") {
-  BasicSurfaceModel<double> network({.base = 2, .sight = true}, 3);
+  BasicSurfaceModel<double> network({.base = 2}, 3);
   const SurfaceInput input = some_input(18, 21);
   const auto objective = [&] {
     const auto out = network(input);
     const auto h =
-        chosen_height(out.logits, out.residual, out.candidates.template cast<double>(), 1.0);
+        chosen_height(out.logits, out.residual, input.candidates.template cast<double>(), 1.0);
     return mean(h * h) + mean(out.log_scale * out.log_scale);
   };
   // A bias of nothing beside nothing to look at stands on the kink of the ReLU.

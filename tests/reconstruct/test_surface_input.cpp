@@ -43,8 +43,7 @@ struct MadeUp {
   nn::SurfaceInput made() const {
     const Index n = std::ssize(confidences);
     return surface_input(Tensor::from({n, 3}, places), Tensor::from({n}, confidences),
-                         {Tensor::from({n}, confidences), Tensor({n, 2})}, grid, input.sources,
-                         true);
+                         {Tensor::from({n}, confidences), Tensor({n, 2})}, grid, input.sources);
   }
   Index cell(double x, double y) const {
     return static_cast<Index>((grid.north - y) / grid.step) * grid.width +
@@ -113,54 +112,6 @@ TEST_CASE("the images agree at the true height and not elsewhere") {
     }
   CHECK(right / n < 0.1);
   CHECK(wrong / n > 0.4);
-}
-
-TEST_CASE("what a roof hides is not seen, and only the images that see it are asked") {
-  // half a metre east and west per metre of height, and straight down: the roof of 6 m hides 3 m of
-  // ground in the west from the camera in the east, and the other way round
-  const MadeUp made;
-  const nn::SurfaceInput in = made.made();
-  const auto ground = static_cast<Index>(SurfaceCandidate::mode),
-             roof = static_cast<Index>(SurfaceCandidate::high);
-  const auto seen = [&](SurfacePlane p, Index k, double x) {
-    return static_cast<double>(4 * made.plane(in, at(p) + k, x, 0.1));
-  };
-  for (const SurfacePlane p : {SurfacePlane::seen, SurfacePlane::open}) {
-    CHECK(seen(p, ground, -8) == doctest::Approx(3));
-    CHECK(seen(p, ground, -4.1) == doctest::Approx(2));
-    CHECK(seen(p, ground, 4.1) == doctest::Approx(2));
-    CHECK(seen(p, roof, 0.1) == doctest::Approx(3));
-    // from straight above alone, for a cell does not hide what is below it
-    CHECK(seen(p, static_cast<Index>(SurfaceCandidate::ground), 0.1) == doctest::Approx(1));
-  }
-  // Ground beside the roof that one image alone would call different, for it shows the roof there.
-  MadeUp other;
-  const Index W = other.input.sources[1].valid.dim(1);
-  Tensor& rgb = other.input.sources[1].rgb;  // of the camera that looks from one side
-  Rng rng(5);
-  for (Index i = 0; i < W * W; ++i) {
-    const auto xy = other.input.sources[1].local_from_pixel(static_cast<double>(i % W),
-                                                            static_cast<double>(i / W), 6);
-    if (std::abs(xy[0]) > 3 || std::abs(xy[1]) > 3) continue;
-    for (Index c = 0; c < 3; ++c) rgb[c * W * W + i] = static_cast<float>(rng.uniform(0, 1));
-  }
-  const nn::SurfaceInput out = other.made();
-  // means over the ground on either side: behind the roof, and before it, where all see the same
-  const auto mean_of = [&](SurfacePlane p, double side) {
-    double sum = 0, n = 0;
-    for (double y = -2; y < 2; y += 0.5)
-      for (double d = 3.5; d < 5.5; d += 0.5, ++n)
-        sum += static_cast<double>(other.plane(out, at(p) + ground, side * d, y));
-    return sum / n;
-  };
-  double behind = 1, before = -1;
-  if (mean_of(SurfacePlane::disagreement, behind) < mean_of(SurfacePlane::disagreement, before))
-    std::swap(behind, before);
-  CHECK(mean_of(SurfacePlane::disagreement, behind) > 0.3);
-  CHECK(mean_of(SurfacePlane::unhidden, behind) <
-        0.6 * mean_of(SurfacePlane::disagreement, behind));
-  CHECK(mean_of(SurfacePlane::disagreement, before) < 0.01);
-  CHECK(mean_of(SurfacePlane::unhidden, before) < 0.06);  // the share of the pair that is made up
 }
 
 TEST_CASE("a cell's summary is what its definition says") {

@@ -148,16 +148,21 @@ TEST_CASE("the window around some ground holds what every image shows of it, and
       scene.frame.h0 + scene.z_range.middle()));
   CHECK(largest_image(scene, scene.frame.geodetic_from_local({middle[0], middle[1], 0})) ==
         WindowSize{any.height(), any.width()});
-  const WindowSize wide = window_around(scene, ground(middle[0], middle[1], 12, 3)),
-                   high = window_around(scene, ground(middle[0], middle[1], 3, 12)),
-                   all = window_around(scene, ground(middle[0], middle[1], 1e4, 1e4));
+  const auto around = [&](double w, double h) {
+    return window_around(scene, ground(middle[0], middle[1], w, h), 5000, 1);
+  };
+  const WindowSize wide = around(12, 3), high = around(3, 12), all = around(1e4, 1e4);
   CHECK(wide.width > wide.height);
   CHECK(high.height > high.width);
   // what lies outside of the images does not count
   CHECK(all.height <= any.height() + 40);
   CHECK(all.width <= any.width() + 40);
   CHECK(all.width >= wide.width);
-  CHECK(window_around(scene, ground(middle[0] + 5e3, middle[1], 10, 10)).count() == 0);
+  CHECK(window_around(scene, ground(middle[0] + 5e3, middle[1], 10, 10), 5000, 8) ==
+        WindowSize{8, 8});
+  const WindowSize less = window_around(scene, ground(middle[0], middle[1], 12, 3), 9, 4);
+  CHECK(less.width == 12);  // at most 9, rounded up
+  CHECK(less.height <= 12);
   // corners at any height fall into the crop of that size
   const Crop crop = make_crop(scene, {.sources = {0, 1},
                                       .centre = {middle[0], middle[1], scene.z_range.middle()},

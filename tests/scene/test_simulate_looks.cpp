@@ -369,7 +369,6 @@ TEST_CASE("dark ground changes the colour of soil, rock and plants and nothing e
     CHECK(most < 1.3);
     layered += most > 1.1f * least;
   }
-  CHECK(DarkGround().factor(0, 3, 2, Material::rock) == 1);
   CHECK(darkened >= 2);
   CHECK(layered >= 1);
   CHECK(layered <= 5);
