@@ -76,11 +76,11 @@ std::string read_text_file(const fs::path& path, const std::string& wanted) {
   if (!in.is_open()) throw IoError(path.string() + ": cannot be read, expected " + wanted);
   // The size is what arrives: files of /proc say 0.
   std::string text;
-  constexpr std::size_t kPiece = 1u << 20;
+  constexpr std::size_t kFirst = 16u << 10, kPiece = 1u << 20;
   while (in) {
-    const std::size_t before = text.size();
-    text.resize(before + kPiece);
-    in.read(text.data() + before, kPiece);
+    const std::size_t before = text.size(), piece = before == 0 ? kFirst : kPiece;
+    text.resize(before + piece);
+    in.read(text.data() + before, static_cast<std::streamsize>(piece));
     text.resize(before + static_cast<std::size_t>(in.gcount()));
     if (text.size() > kMostText)
       throw IoError(path.string() + ": larger than " + std::to_string(kMostText >> 20) +

@@ -100,6 +100,22 @@ std::string size_text(GDALDataset& d) {
   return text.str();
 }
 
+/// What GDAL makes of one block, the least it reads: of all bands where they lie side by side.
+double block_bytes(GDALDataset& d) {
+  const char* interleave = d.GetMetadataItem("INTERLEAVE", "IMAGE_STRUCTURE");
+  const bool together = interleave != nullptr && EQUAL(interleave, "PIXEL");
+  double most = 0, sum = 0;
+  for (int b = 1; b <= d.GetRasterCount(); ++b) {
+    int width = 0, height = 0;
+    GDALRasterBand* band = d.GetRasterBand(b);
+    band->GetBlockSize(&width, &height);
+    const double bytes = static_cast<double>(width) * static_cast<double>(height) *
+                         GDALGetDataTypeSizeBytes(band->GetRasterDataType());
+    most = std::max(most, bytes), sum += bytes;
+  }
+  return together ? sum : most;
+}
+
 }  // namespace
 
 DatasetPtr open_raster(const fs::path& path) {
@@ -134,10 +150,12 @@ void check_content(const fs::path& path, GDALDataset& d) {
   // DEFLATE packs 1000 equal bytes into one, ZSTD and LZMA some 10000; sparse files leave out whole
   // tiles. What needs little memory is not worth a refusal.
   constexpr double kMostPacked = 100'000, kLittle = 256.0 * (1 << 20);
-  double bytes = 0;  // of the pixels as they are stored, before packing
+  double bytes =
+      0;  // of the pixels as they are stored, before packing, or of a block if that is more
   for (int b = 1; b <= d.GetRasterCount(); ++b)
     bytes += GDALGetDataTypeSizeBytes(d.GetRasterBand(b)->GetRasterDataType());
   bytes *= static_cast<double>(d.GetRasterXSize()) * static_cast<double>(d.GetRasterYSize());
+  bytes = std::max(bytes, block_bytes(d));
   if (bytes <= kLittle) return;
   double stored = 0;
   char** files = d.GetFileList();  // of a mosaic, its parts too
@@ -157,6 +175,7 @@ void check_content(const fs::path& path, GDALDataset& d) {
 
 void check_memory(const fs::path& path, GDALDataset& d, double needed) {
   const auto available = static_cast<double>(available_memory());
+  needed += block_bytes(d);
   if (needed <= available) return;
   throw IoError(path.string() + ": " + size_text(d) + " take " + memory_text(needed) +
                 " of memory, expected " + memory_text(available) +
