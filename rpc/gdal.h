@@ -75,11 +75,12 @@ using DatasetPtr = std::unique_ptr<GDALDataset, DatasetCloser>;
 DatasetPtr open_raster(const std::filesystem::path& path);
 
 /// Refuses a raster whose pixels cannot be in its file: one of some hundred bytes may claim any
-/// size. Up to 256 MiB of pixels are never refused, nor up to 100000 bytes for each of the file.
+/// size, or blocks larger than itself, which are read whole. Up to 256 MiB are never refused, nor up
+/// to 100000 bytes for each of the file.
 /// throws  IoError
 void check_content(const std::filesystem::path& path, GDALDataset& d);
 /// Refuses what the memory cannot hold: some systems promise any amount.
-/// needed  bytes
+/// needed  bytes, beside those of a block
 /// throws  IoError
 void check_memory(const std::filesystem::path& path, GDALDataset& d, double needed);
 

@@ -150,12 +150,11 @@ void check_content(const fs::path& path, GDALDataset& d) {
   // DEFLATE packs 1000 equal bytes into one, ZSTD and LZMA some 10000; sparse files leave out whole
   // tiles. What needs little memory is not worth a refusal.
   constexpr double kMostPacked = 100'000, kLittle = 256.0 * (1 << 20);
-  double bytes =
-      0;  // of the pixels as they are stored, before packing, or of a block if that is more
+  double pixels = 0;  // bytes as they are stored, before packing
   for (int b = 1; b <= d.GetRasterCount(); ++b)
-    bytes += GDALGetDataTypeSizeBytes(d.GetRasterBand(b)->GetRasterDataType());
-  bytes *= static_cast<double>(d.GetRasterXSize()) * static_cast<double>(d.GetRasterYSize());
-  bytes = std::max(bytes, block_bytes(d));
+    pixels += GDALGetDataTypeSizeBytes(d.GetRasterBand(b)->GetRasterDataType());
+  pixels *= static_cast<double>(d.GetRasterXSize()) * static_cast<double>(d.GetRasterYSize());
+  const double block = block_bytes(d), bytes = std::max(pixels, block);
   if (bytes <= kLittle) return;
   double stored = 0;
   char** files = d.GetFileList();  // of a mosaic, its parts too
@@ -167,9 +166,10 @@ void check_content(const fs::path& path, GDALDataset& d) {
   CSLDestroy(files);
   if (bytes <= kMostPacked * stored) return;
   std::ostringstream text;
-  text << path.string() << ": " << size_text(d) << ", " << memory_text(bytes) << ", in a file of "
-       << static_cast<long long>(stored) << " bytes, expected at least a byte for every "
-       << static_cast<int>(kMostPacked) << "; empty or damaged?";
+  text << path.string() << ": " << size_text(d) << (block > pixels ? " in blocks of " : ", ")
+       << memory_text(bytes) << ", in a file of " << static_cast<long long>(stored)
+       << " bytes, expected at least a byte for every " << static_cast<int>(kMostPacked)
+       << "; empty or damaged?";
   throw IoError(text.str());
 }
 

@@ -295,6 +295,17 @@ TEST_CASE("rasters that their files cannot hold are refused before they take mem
   CHECK(text.starts_with(p + ": 20000 x 20000 px of 1 band, "));
   CHECK(text.ends_with(", expected at least a byte for every 100000; empty or damaged?"));
   CHECK(test::error_of<IoError>([&] { rpc::read_image(p); }).ends_with("empty or damaged?"));
+
+  // Few pixels in blocks that are not few: GDAL reads a block whole, here a gigabyte.
+  auto* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
+  const char* options[] = {"SPARSE_OK=TRUE",  "TILED=YES",        "BLOCKXSIZE=4096",
+                           "BLOCKYSIZE=4096", "INTERLEAVE=PIXEL", nullptr};
+  delete driver->Create(p.c_str(), 8, 8, 16, GDT_Float32, const_cast<char**>(options));
+  REQUIRE(std::filesystem::file_size(p) < 4096);
+  const std::string blocks = test::error_of<IoError>([&] { rpc::read_image(p); });
+  CAPTURE(blocks);
+  CHECK(blocks.starts_with(p + ": 8 x 8 px of 16 bands in blocks of 1"));
+  CHECK(blocks.ends_with("empty or damaged?"));
 }
 
 TEST_CASE("the contest's layout: a bare raster and its grid in a text file") {
