@@ -55,20 +55,23 @@ Coarse coarse_of(const View& view, Index factor) {
 /// Sums over (2 r + 1)^2 windows by running sums; windows are cut at the border.
 Tensor box_sum(const Tensor& t) {
   const Index H = t.dim(0), W = t.dim(1);
-  std::vector<double> integral(static_cast<std::size_t>((H + 1) * (W + 1)), 0);
-  const auto at = [&](Index y, Index x) -> double& {
-    return integral[static_cast<std::size_t>(y * (W + 1) + x)];
-  };
-  for (Index y = 0; y < H; ++y)
+  const Index stride = W + 1;
+  std::vector<double> integral(static_cast<std::size_t>((H + 1) * stride), 0);
+  for (Index y = 0; y < H; ++y) {
+    const double* const above = integral.data() + y * stride;
+    double* const row = integral.data() + (y + 1) * stride;
     for (Index x = 0; x < W; ++x)
-      at(y + 1, x + 1) = static_cast<double>(t[y * W + x]) + at(y, x + 1) + at(y + 1, x) - at(y, x);
+      row[x + 1] = static_cast<double>(t[y * W + x]) + above[x + 1] + row[x] - above[x];
+  }
   auto out = Tensor::uninitialised(t.shape());
-  for (Index y = 0; y < H; ++y)
+  for (Index y = 0; y < H; ++y) {
+    const double* const top = integral.data() + std::max<Index>(0, y - kRadius) * stride;
+    const double* const bottom = integral.data() + std::min(H, y + kRadius + 1) * stride;
     for (Index x = 0; x < W; ++x) {
-      const Index y0 = std::max<Index>(0, y - kRadius), y1 = std::min(H, y + kRadius + 1),
-                  x0 = std::max<Index>(0, x - kRadius), x1 = std::min(W, x + kRadius + 1);
-      out[y * W + x] = static_cast<float>(at(y1, x1) - at(y0, x1) - at(y1, x0) + at(y0, x0));
+      const Index x0 = std::max<Index>(0, x - kRadius), x1 = std::min(W, x + kRadius + 1);
+      out[y * W + x] = static_cast<float>(bottom[x1] - top[x1] - bottom[x0] + top[x0]);
     }
+  }
   return out;
 }
 
