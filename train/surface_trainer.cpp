@@ -88,7 +88,7 @@ double mean_distance(const float* heights, const SurfaceLesson& lesson,
 }
 
 /// Lessons by number.
-using LessonStream = Stream<SurfaceLesson>;
+using LessonStream = Stream<KeptLesson>;
 
 /// The surface network and its objective.
 class SurfaceTask : public TrainingTask {
@@ -123,7 +123,7 @@ class SurfaceTask : public TrainingTask {
     SurfaceLesson window;
     for (int attempt = 0; attempt < kTries; ++attempt) {
       const auto lesson = lessons_.draw(sample, rng);
-      window = window_of(*lesson, config_.crop, rng);
+      window = lesson->window(config_.crop, rng);
       double known = 0;
       for (const float w : window.weight.values()) known += static_cast<double>(w);
       if (known >= kEnough * static_cast<double>(window.weight.count())) break;
@@ -171,20 +171,39 @@ StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& 
                                       candidate(nn::SurfaceCandidate::around))}}};
 }
 
-SurfaceLesson window_of(const SurfaceLesson& lesson, Index size, Rng& rng) {
-  const Index H = lesson.truth.dim(0), W = lesson.truth.dim(1), S = std::min({size, H, W}),
+KeptLesson::KeptLesson(const SurfaceLesson& lesson)
+    : candidates_(lesson.input.candidates),
+      truth_(lesson.truth),
+      planes_(PackedTensor::halves(lesson.input.planes)),
+      weight_(PackedTensor::levels(lesson.weight, 1)),
+      interval_(lesson.input.interval) {}
+
+SurfaceLesson KeptLesson::window(Index size, Rng& rng) const {
+  const Index H = truth_.dim(0), W = truth_.dim(1), S = std::min({size, H, W}),
               top = rng.below(H - S + 1), left = rng.below(W - S + 1), symmetry = rng.below(8);
-  const auto cut = [&](const Tensor& map) {
-    const Index C = map.rank() == 3 ? map.dim(0) : 1;
-    auto out = Tensor::uninitialised(map.rank() == 3 ? Shape{C, S, S} : Shape{S, S});
+  const auto cut = [&](const Shape& shape, const auto& read) {
+    const Index C = shape.rank() == 3 ? shape[0] : 1;
+    auto out = Tensor::uninitialised(shape.rank() == 3 ? Shape{C, S, S} : Shape{S, S});
     for (Index c = 0; c < C; ++c)
       for (Index i = 0; i < S; ++i)
-        std::copy_n(map.data() + (c * H + top + i) * W + left, S, out.data() + (c * S + i) * S);
+        read((c * H + top + i) * W + left, S, out.data() + (c * S + i) * S);
     return turned(out, symmetry);
   };
-  return {{cut(lesson.input.candidates), cut(lesson.input.planes), lesson.input.interval},
-          cut(lesson.truth),
-          cut(lesson.weight)};
+  const auto of = [&](const Tensor& map) {
+    return cut(map.shape(), [&](Index begin, Index count, float* to) {
+      std::copy_n(map.data() + begin, count, to);
+    });
+  };
+  const auto of_packed = [&](const PackedTensor& map) {
+    return cut(map.shape(),
+               [&](Index begin, Index count, float* to) { map.read(begin, count, to); });
+  };
+  return {{of(candidates_), of_packed(planes_), interval_}, of(truth_), of_packed(weight_)};
+}
+
+std::size_t KeptLesson::bytes() const {
+  return planes_.bytes() + weight_.bytes() +
+         static_cast<std::size_t>(candidates_.count() + truth_.count()) * sizeof(float);
 }
 
 nn::SurfaceModel train(const SurfaceTrainConfig& config, const fs::path& data, std::uint64_t seed,
@@ -212,8 +231,8 @@ nn::SurfaceModel train(const SurfaceTrainConfig& config, const fs::path& data, s
   LessonStream lessons(config.scene_uses, config.scene_pool, [&](Index number) {
     scene::Scene scene = data.empty() ? made_up_scene(config.simulate, seed, number)
                                       : scenes[static_cast<std::size_t>(number) % scenes.size()];
-    return lesson_of(config, cascades, std::move(scene),
-                     Rng(seed).fork(~static_cast<std::uint64_t>(number)));
+    return KeptLesson(lesson_of(config, cascades, std::move(scene),
+                                Rng(seed).fork(~static_cast<std::uint64_t>(number))));
   });
   SurfaceTask task(network, cascades[0], config, lessons, seed);
   run_training(task, config, to_json(config).dump(), run, callbacks);

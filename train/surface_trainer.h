@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/packed_tensor.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/nn/surface_net.h"
 #include "satsurf/scene/simulate/scene.h"
 #include "satsurf/train/training.h"
 
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -79,9 +81,21 @@ struct SurfaceLesson {
 StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& network,
                       const SurfaceLesson& lesson);
 
-/// A random square of a lesson in one of eight orientations; the whole of it along axes on which it
-/// is smaller.
-SurfaceLesson window_of(const SurfaceLesson& lesson, Index size, Rng& rng);
+/// A lesson in six tenths of its memory, for it is kept for many windows: its planes, which are of
+/// order 1, in half precision.
+class KeptLesson {
+ public:
+  explicit KeptLesson(const SurfaceLesson& lesson);
+  /// A random square in one of eight orientations; the whole of it along axes on which it is smaller.
+  SurfaceLesson window(Index size, Rng& rng) const;
+  /// Memory of its maps.
+  std::size_t bytes() const;
+
+ private:
+  Tensor candidates_, truth_;
+  PackedTensor planes_, weight_;
+  double interval_;
+};
 
 /// Trains the surface network on reconstructions of a folder's scenes, or of scenes that are made up
 /// on the way; arguments as those of the cascade's `train`.

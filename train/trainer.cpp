@@ -139,8 +139,10 @@ scene::Crop training_sample(const TrainConfig& config, const std::vector<scene::
 
 scene::Crop training_sample(const TrainConfig& config, SceneStream& scenes, std::uint64_t seed,
                             Index sample) {
-  return cut_sample(
-      config, [&](Rng& rng) { return scenes.draw(sample, rng); }, seed, sample);
+  const auto draw = [&](Rng& rng) {
+    return std::make_shared<const scene::Scene>(scenes.draw(sample, rng)->scene());
+  };
+  return cut_sample(config, draw, seed, sample);
 }
 
 bool needs_branch(const TrainConfig& config) {

@@ -111,13 +111,21 @@ TEST_CASE("a lesson's windows are squares of it in all eight orientations") {
   SurfaceLesson lesson = made_up(20);
   for (Index i = 0; i < 400; ++i) lesson.truth[i] = static_cast<float>(i);
   for (Index i = 0; i < 400; ++i) lesson.input.candidates[i] = lesson.truth[i] + 1;
+  for (Index i = 0; i < 400; ++i) lesson.input.planes[i] = 1 / (1 + lesson.truth[i]);
+  const KeptLesson kept(lesson);
+  // of every cell the planes in 2 bytes, candidates and truth in 4, and the weight in one
+  CHECK(kept.bytes() == 400 * (2 * nn::kSurfacePlanes + 4 * nn::kSurfaceCandidates + 4 + 1));
   std::set<std::pair<int, int>> directions;
   for (std::uint64_t seed = 0; seed < 60; ++seed) {
     Rng rng(seed);
-    const SurfaceLesson window = window_of(lesson, 8, rng);
+    const SurfaceLesson window = kept.window(8, rng);
     REQUIRE(window.truth.shape() == Shape{8, 8});
     for (Index i = 0; i < 64; ++i)
       REQUIRE(window.input.candidates[i] == window.truth[i] + 1);  // turned together
+    for (Index i = 0; i < 64; ++i) {
+      REQUIRE(std::abs(window.input.planes[i] * (1 + window.truth[i]) - 1) <= 0x1p-11f);
+      REQUIRE(window.weight[i] == (window.truth[i] == 3 ? 0 : 1));
+    }
     const auto step = [&](Index a, Index b) {
       return static_cast<int>(window.truth[b] - window.truth[a]);
     };
@@ -125,7 +133,7 @@ TEST_CASE("a lesson's windows are squares of it in all eight orientations") {
   }
   CHECK(directions.size() == 8);
   Rng rng(1);
-  CHECK(window_of(lesson, 64, rng).truth.shape() == Shape{20, 20});
+  CHECK(kept.window(64, rng).truth.shape() == Shape{20, 20});
 }
 
 TEST_CASE("surface training refuses what it cannot do") {

@@ -241,12 +241,20 @@ TEST_CASE("without a data set scenes are made up on the way, the same after an i
   CHECK(scenes.first(5) == 2);
   const auto third = scenes.item(2);
   CHECK(scenes.item(2) == third);
-  CHECK(third->views.size() == 4);
-  REQUIRE(third->truth.has_value());
+  const scene::Scene kept = third->scene(), made = made_up_scene(c.simulate, 5, 2);
+  REQUIRE(kept.views.size() == 4);
+  REQUIRE(kept.truth.has_value());
+  for (std::size_t v = 0; v < 4; ++v) {
+    CHECK(std::ranges::equal(kept.views[v].rgb.values(), made.views[v].rgb.values()));
+    CHECK(std::ranges::equal(kept.views[v].valid.values(), made.views[v].valid.values()));
+  }
+  CHECK(std::ranges::equal(kept.classes.values(), made.classes.values()));
+  // three colours and what is valid, and a class for every cell of the surface: a byte each
+  CHECK(third->bytes() == static_cast<std::size_t>(4 * 4 * 64 * 64 + made.classes.count()));
   scenes.item(40);  // far behind now
   const auto again = scenes.item(2);
   CHECK(again != third);
-  CHECK(std::ranges::equal(again->views[0].rgb.values(), third->views[0].rgb.values()));
+  CHECK(std::ranges::equal(again->scene().views[0].rgb.values(), kept.views[0].rgb.values()));
   c.simulate.views = 3;
   CHECK_THROWS_WITH_AS(train::train(c, {}, 5, {}, {}),
                        "train: simulate.views is 3, expected more than views, which is 3: one view "
