@@ -3,9 +3,10 @@
 # Kills the program with SIGKILL wherever it changes files, and at random moments, then runs it again as a user would:
 # the results have the bytes of an undisturbed run, what was there before is there whole or replaced whole, and nothing
 # else is left. The same with a disk that is full from some write on, of which the program has to tell.
-#   run.sh PROGRAM [-e EVERY] [-r RANDOM] [-s SEED] [SCENARIO...]
+#   run.sh PROGRAM [-e EVERY] [-b BEGIN] [-r RANDOM] [-s SEED] [SCENARIO...]
 # EVERY     of the calls that change files every EVERY-th is the last one, or the first that finds the disk full; 1 is
 #           all of them, the default
+# BEGIN     the first of the calls to be killed at, where a campaign that was stopped goes on; default 1
 # RANDOM    so many kills at random moments besides, spread over the scenarios; default 0
 # SEED      of these moments, default 1
 # SCENARIO  train mono surface tiles overwrite; without one all of them
@@ -14,10 +15,11 @@ set -uo pipefail
 satsurf=$(realpath "$1")
 here=$(realpath "$(dirname "$0")")
 shift
-every=1 random=0 seed=1
-while getopts e:r:s: option; do
+every=1 begin_at=1 random=0 seed=1
+while getopts e:b:r:s: option; do
   case $option in
     e) every=$OPTARG ;;
+    b) begin_at=$OPTARG ;;
     r) random=$OPTARG ;;
     s) seed=$OPTARG ;;
     *) exit 2 ;;
@@ -133,7 +135,7 @@ for scenario in "${scenarios[@]}"; do
   mv out ../whole
   cd .. || exit 1
   kills=0 stopped=0
-  for ((at = 1; at <= calls; at += every)); do
+  for ((at = begin_at; at <= calls; at += every)); do
     rm -rf run && mkdir run && cd run || exit 1
     prepare
     KILL_AT=$at LD_PRELOAD="$work/crash_at.so" run first
