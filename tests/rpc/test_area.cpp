@@ -13,6 +13,7 @@
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
+#include <sys/resource.h>
 
 using namespace satsurf;
 using namespace satsurf::rpc;
