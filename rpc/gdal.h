@@ -112,6 +112,15 @@ inline std::optional<double> parse_number(std::string_view text) {
 /// Bands without the alpha band, counted from 1.
 std::vector<int> colour_bands(GDALDataset& d);
 
+/// A raster of bare values in a file of its own, for one that is written bit by bit and read once: its
+/// room is taken at the beginning, and a write that fails is an error and no more. A GeoTIFF that a
+/// full disk has cut off is read again by libtiff 4.5 while it is closed, which may crash.
+/// path    what the values are to become, for messages
+/// file    of the values
+/// throws  IoError
+DatasetPtr bare_raster(const std::filesystem::path& path, const std::filesystem::path& file,
+                       Index bands, Index height, Index width, GDALDataType type);
+
 /// Makes the cloud-optimised GeoTIFF of a finished raster, which takes its place at once.
 /// means   whether a mean of cells means something: overviews
 /// throws  IoError

@@ -6,14 +6,17 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
+#include <cstring>
 #include <limits>
 #include <memory>
 #include <utility>
 
 #include <cpl_vsi.h>
+#include <fcntl.h>
 #include <ogr_spatialref.h>
 
 namespace satsurf::rpc {
@@ -179,21 +182,14 @@ void describe(const fs::path& path, GDALDataset& d, Index C, const GeoGrid& grid
   }
 }
 
-/// Writes rows of all bands, from row y0 on.
-void write_values(const fs::path& path, GDALDataset& d, Index y0, const Tensor& values,
-                  const GeoTags& tags) {
-  const auto [C, H, W] = extents_of("write_geo_raster", values, false);
-  const auto w = static_cast<int>(W), h = static_cast<int>(H);
-  std::vector<float> plane(static_cast<std::size_t>(H * W));
-  for (Index c = 0; c < C; ++c) {
-    const float* from = values.data() + c * H * W;
-    std::transform(from, from + H * W, plane.begin(),
-                   [&](float v) { return stored(v, tags.type, tags.nodata); });
-    if (d.GetRasterBand(static_cast<int>(c) + 1)
-            ->RasterIO(GF_Write, 0, static_cast<int>(y0), w, h, plane.data(), w, h, GDT_Float32, 0,
-                       0, nullptr) != CE_None)
-      refuse(path);
-  }
+/// A band's values as they are stored, in floats still.
+std::vector<float> stored_plane(const Tensor& values, Index plane, Index count,
+                                const GeoTags& tags) {
+  std::vector<float> out(static_cast<std::size_t>(count));
+  const float* from = values.data() + plane * count;
+  std::transform(from, from + count, out.begin(),
+                 [&](float v) { return stored(v, tags.type, tags.nodata); });
+  return out;
 }
 
 /// How a cloud-optimised GeoTIFF is made.
@@ -250,17 +246,55 @@ void write_geo_raster(const fs::path& path, const Tensor& values, const GeoGrid&
   MemoryRaster raster(path, "MEM", {static_cast<int>(W), static_cast<int>(H), static_cast<int>(C)},
                       gdal_type(tags.type));
   describe(path, *raster, C, grid, tags);
-  write_values(path, *raster, 0, values, tags);
+  const auto w = static_cast<int>(W), h = static_cast<int>(H);
+  for (Index c = 0; c < C; ++c) {
+    std::vector<float> plane = stored_plane(values, c, H * W, tags);
+    raster.check(
+        raster->GetRasterBand(static_cast<int>(c) + 1)
+            ->RasterIO(GF_Write, 0, 0, w, h, plane.data(), w, h, GDT_Float32, 0, 0, nullptr));
+  }
   raster.convert("COG", cog_options(tags.means));
   raster.save();
+}
+
+DatasetPtr bare_raster(const fs::path& path, const fs::path& file, Index bands, Index height,
+                       Index width, GDALDataType type) {
+  const Index cell = GDALGetDataTypeSizeBytes(type), row = width * cell, plane = height * row;
+  std::unique_ptr<std::FILE, int (*)(std::FILE*)> made(std::fopen(file.c_str(), "wb"),
+                                                       &std::fclose);
+  const int error = made ? ::posix_fallocate(::fileno(made.get()), 0, bands * plane) : errno;
+  if (error != 0) {
+    std::error_code ignored;
+    fs::remove(file, ignored);
+    throw IoError(path.string() + ": " + std::to_string(bands * plane) +
+                  " bytes for its values cannot be had (" + std::strerror(error) + ")");
+  }
+  DatasetPtr out(
+      driver_of_name(path, "VRT")
+          .Create("", static_cast<int>(width), static_cast<int>(height), 0, type, nullptr));
+  if (!out) refuse(path);
+  for (Index b = 0; b < bands; ++b) {
+    CPLStringList how;
+    how.SetNameValue("subclass", "VRTRawRasterBand");
+    how.SetNameValue("SourceFilename", file.c_str());
+    how.SetNameValue("relativeToVRT", "0");
+    how.SetNameValue("ImageOffset", std::to_string(b * plane).c_str());
+    how.SetNameValue("PixelOffset", std::to_string(cell).c_str());
+    how.SetNameValue("LineOffset", std::to_string(row).c_str());
+    how.SetNameValue("ByteOrder", CPL_IS_LSB ? "LSB" : "MSB");
+    if (out->AddBand(type, how) != CE_None) refuse(path);
+  }
+  return out;
 }
 
 void write_cog(const fs::path& path, GDALDataset& from, bool means) {
   fs::path made = path;
   made += ".part";
+  CPLErrorReset();
+  from.FlushCache();  // may be where a disk is found full
+  if (CPLGetLastErrorType() >= CE_Failure) refuse(path);
   CPLStringList list;
   for (const char* option : cog_options(means)) list.AddString(option);
-  from.FlushCache();
   DatasetPtr cog(
       driver_of_name(path, "COG").CreateCopy(made.c_str(), &from, FALSE, list, nullptr, nullptr));
   if (!cog) refuse(path);
@@ -273,9 +307,11 @@ void write_cog(const fs::path& path, GDALDataset& from, bool means) {
     throw IoError(path.string() + ": cannot be put in its place (" + error.message() + ")");
 }
 
-/// The rows so far, in a file beside the one to be made.
+/// The rows so far, in a file beside the one to be made. They are written here, a band's at a time:
+/// GDAL would write each row by itself.
 struct GeoRasterRows::File {
   DatasetPtr dataset;
+  std::unique_ptr<std::FILE, int (*)(std::FILE*)> values{nullptr, &std::fclose};
 };
 
 GeoRasterRows::GeoRasterRows(fs::path path, Index bands, Index height, Index width,
@@ -287,15 +323,12 @@ GeoRasterRows::GeoRasterRows(fs::path path, Index bands, Index height, Index wid
       width_(width),
       tags_(std::move(tags)) {
   const GdalScope scope;
-  CPLStringList list;
-  // small blocks of whole rows: what is written is read once more, from the top down
-  for (const char* option : {"COMPRESS=LZW", "BIGTIFF=IF_SAFER", "INTERLEAVE=BAND"})
-    list.AddString(option);
   file_ = std::make_unique<File>();
-  file_->dataset.reset(driver_of_name(path_, "GTiff")
-                           .Create(rows_.c_str(), static_cast<int>(width), static_cast<int>(height),
-                                   static_cast<int>(bands), gdal_type(tags_.type), list));
-  if (!file_->dataset) refuse(path_);
+  file_->dataset = bare_raster(path_, rows_, bands, height, width, gdal_type(tags_.type));
+  file_->values.reset(std::fopen(rows_.c_str(), "r+b"));
+  if (!file_->values)
+    throw IoError(rows_.string() + ": cannot be opened (" + std::strerror(errno) + ")");
+  std::setvbuf(file_->values.get(), nullptr, _IONBF, 0);  // an error shows where it happens
   describe(path_, *file_->dataset, bands, grid, tags_);
 }
 
@@ -312,8 +345,20 @@ void GeoRasterRows::append(const Tensor& values) {
                      std::to_string(next_) + ", expected " + std::to_string(bands_) +
                      " bands of rows of " + std::to_string(width_) + " cells, " +
                      std::to_string(height_) + " in all");
-  const GdalScope scope;
-  write_values(path_, *file_->dataset, next_, values, tags_);
+  const GDALDataType type = gdal_type(tags_.type);
+  const Index cell = GDALGetDataTypeSizeBytes(type), count = H * W;
+  std::vector<std::byte> bytes(static_cast<std::size_t>(count * cell));
+  std::FILE* const file = file_->values.get();
+  for (Index c = 0; c < C; ++c) {
+    const std::vector<float> plane = stored_plane(values, c, count, tags_);
+    GDALCopyWords64(plane.data(), GDT_Float32, sizeof(float), bytes.data(), type,
+                    static_cast<int>(cell), count);
+    const Index begin = (c * height_ + next_) * width_ * cell;
+    if (std::fseek(file, begin, SEEK_SET) != 0 ||
+        std::fwrite(bytes.data(), 1, bytes.size(), file) != bytes.size())
+      throw IoError(path_.string() + ": its values cannot be written (" + std::strerror(errno) +
+                    ")");
+  }
   next_ += H;
 }
 

@@ -229,11 +229,6 @@ void warp_raster(const fs::path& path, const ProjectedGrid& grid, Resampling how
   const OGRSpatialReference from_ground = ground_of(*was), ground = system_from(grid.crs.wkt);
   const OGRSpatialReference crs = with_heights(ground, *was);
   const fs::path rows = path.string() + ".rows";
-  GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
-  if (driver == nullptr) throw IoError(path.string() + ": this GDAL has no GeoTIFF, expected it");
-  CPLStringList list;
-  for (const char* option : {"COMPRESS=LZW", "BIGTIFF=IF_SAFER", "TILED=YES", "INTERLEAVE=BAND"})
-    list.AddString(option);
   struct Removed {
     fs::path file;
     ~Removed() {
@@ -243,13 +238,11 @@ void warp_raster(const fs::path& path, const ProjectedGrid& grid, Resampling how
   } const removed{rows};
   GDALRasterBand* first = from->GetRasterBand(1);
   const int bands = from->GetRasterCount();
-  DatasetPtr to(driver->Create(rows.c_str(), static_cast<int>(grid.width),
-                               static_cast<int>(grid.height), bands, first->GetRasterDataType(),
-                               list));
+  DatasetPtr to =
+      bare_raster(path, rows, bands, grid.height, grid.width, first->GetRasterDataType());
   const auto check = [&](bool done) {
     if (!done) throw IoError(path.string() + ": the GeoTIFF cannot be made; " + gdal_error());
   };
-  check(to != nullptr);
   check(to->SetSpatialRef(&crs) == CE_None);
   std::array<double, 6> place{grid.x0, grid.step, 0, grid.y0, 0, -grid.step};
   check(to->SetGeoTransform(place.data()) == CE_None);
