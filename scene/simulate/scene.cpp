@@ -2,6 +2,7 @@
 #include "satsurf/scene/simulate/scene.h"
 
 #include "satsurf/core/dims.h"
+#include "satsurf/core/memory.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/fit.h"
 #include "satsurf/scene/simulate/city.h"
@@ -158,6 +159,16 @@ rpc::Geodetic place_on(const GivenSurface& surface, double reach, Rng& rng, doub
   return {.lon = position[0], .lat = position[1], .h = ground};
 }
 
+/// throws  Error for a scene that does not fit into memory
+void check_size(Index cells, const SimulateConfig& config) {
+  constexpr double kCell = 85, kPixel = 16, kInTheMaking = 48;  // bytes, as measured
+  const double pixels = std::pow(static_cast<double>(config.pixels), 2);
+  check_memory("simulate: a scene of " + std::to_string(cells) + " cells a side needs",
+               kCell * std::pow(static_cast<double>(cells), 2) +
+                   (kPixel * static_cast<double>(config.views) + kInTheMaking) * pixels,
+               "ask for fewer pixels or a larger --cell");
+}
+
 SimulatedScene make_scene(const SimulateConfig& config, std::uint64_t seed, Index index,
                           const GivenSurface* surface) {
   const Rng root = Rng(seed, 0x51D).fork(static_cast<std::uint64_t>(index));
@@ -238,11 +249,14 @@ SimulatedScene make_scene(const SimulateConfig& config, std::uint64_t seed, Inde
   constexpr double kMargin = 3;  // m
   plan.step = scene.gsd < 0.4 ? 0.25 : 0.3;
   if (surface != nullptr) plan.step = std::clamp(surface->grid.step, 0.25, 0.5);
+  if (config.cell > 0) plan.step = config.cell;
   const double extent =
       std::max(bounds.x_high - bounds.x_low, bounds.y_high - bounds.y_low) + 2 * kMargin;
   plan.size = static_cast<Index>(std::ceil(extent / plan.step));
   plan.x0 = std::floor(0.5 * (bounds.x_low + bounds.x_high - extent));
   plan.y0 = std::ceil(0.5 * (bounds.y_low + bounds.y_high + extent));
+
+  check_size(plan.size, config);
 
   const City city = surface != nullptr ? city_on(*surface, scene.frame, plan, root.fork(2))
                                        : make_city(plan, root.fork(2));

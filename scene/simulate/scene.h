@@ -21,7 +21,8 @@ struct SimulateConfig {
   std::uint64_t seed = 0;
   Index pixels = 512;  ///< rows and columns of every image
   Index views = 5;
-  double gsd = 0;  ///< m; 0 draws 0.3 to 0.6 for each scene
+  double gsd = 0;   ///< m; 0 draws 0.3 to 0.6 for each scene
+  double cell = 0;  ///< of the surface, m; 0 is 0.25 for pixels below 0.4 m, 0.3 for others
   std::vector<SceneKind> kinds{SceneKind::city,    SceneKind::suburb, SceneKind::industrial,
                                SceneKind::village, SceneKind::rural,  SceneKind::rough};
   /// How often each of `kinds` is drawn; empty: equally often.
@@ -42,10 +43,17 @@ struct SimulateConfig {
     v("scenes", s.scenes, Field{.help = "scenes to make", .min = 1});
     v("seed", s.seed, Field{.help = "same seed, same scenes"});
     v("pixels", s.pixels,
-      Field{.help = "rows and columns of every image", .unit = "px", .min = 16, .max = 4096});
+      Field{.help = "rows and columns of every image", .unit = "px", .min = 16, .max = 16384});
     v("views", s.views, Field{.help = "images per scene", .min = 1, .max = 32});
     v("gsd", s.gsd,
       Field{.help = "ground size of a pixel; 0 draws 0.3 to 0.6 per scene",
+            .unit = "m",
+            .min = 0,
+            .max = 5});
+    v("cell", s.cell,
+      Field{.help =
+                "cells of the surface that the images show, of which large scenes have many; 0: "
+                "0.25 where pixels are below 0.4 m, else 0.3, and those of a given surface",
             .unit = "m",
             .min = 0,
             .max = 5});
@@ -120,7 +128,7 @@ struct SimulatedScene {
 };
 
 /// Scene number `index` of a seed: a pure function of the arguments, for any number of threads.
-/// throws  ConfigError if no kind is to choose from
+/// throws  ConfigError if no kind is to choose from; Error for more than fits into memory
 SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index);
 
 /// A surface somebody measured, to be lit and looked at instead of a made-up one.
@@ -138,7 +146,7 @@ GivenSurface read_surface(const std::filesystem::path& dsm, const std::filesyste
 /// Scene number `index` of a seed on a given surface, with made-up materials, light and cameras:
 /// another part of it for every scene, mirrored at its edges where the views reach beyond. The
 /// configuration's kinds, relief_max, tallest_max and water say nothing here.
-/// throws  ConfigError, ShapeError
+/// throws  ConfigError, ShapeError; Error for more than fits into memory
 SimulatedScene simulate_on_surface(const GivenSurface& surface, const SimulateConfig& config,
                                    std::uint64_t seed, Index index);
 

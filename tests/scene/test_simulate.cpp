@@ -226,6 +226,18 @@ TEST_CASE("the orbital camera") {
       }
     }
   }
+  SUBCASE("so do the maps that large images are made with") {
+    Acquisition b = a;
+    b.off_nadir_deg = 30;
+    b.gsd_m = 0.5;
+    b.width_px = b.height_px = 12'000;
+    const RpcFit fit = fit_rpc(PushBroom(b), -300, 400);
+    CHECK(fit.max_px < 1e-3);
+    const rpc::LocalFrame frame{rpc::utm_zone_of(-81.66, 30.35), 436'000, 3'358'000, -20};
+    const Quadratic map = rpc::fit_localisation(fit.rpc, frame, {0, 0, 12'000, 12'000}, {-10, 160});
+    CHECK(map.max < 0.05);  // m
+    MESSAGE(fit.max_px << " px, " << map.max << " m");
+  }
   SUBCASE("heights that are no range are refused") {
     CHECK_THROWS_WITH_AS(fit_rpc(camera, 5, 5),
                          "fit_rpc: heights 5.000000 to 5.000000, expected low < high", Error);
@@ -467,6 +479,28 @@ TEST_CASE("a camera's given bias is what was asked for") {
     CHECK(dx != 0);
     CHECK(std::abs(dx) <= 0.3);
   }
+}
+
+TEST_CASE("a surface has cells of the size asked for, and no more than fit into memory") {
+  SimulateConfig config;
+  config.pixels = 64;
+  config.views = 2;
+  config.gsd = 0.5;
+  const SimulatedScene fine = simulate_scene(config, 3, 0);
+  CHECK(fine.dsm.step == 0.3);
+  config.cell = 0.75;
+  const SimulatedScene coarse = simulate_scene(config, 3, 0);
+  CHECK(coarse.dsm.step == 0.75);
+  const auto side = [](const SimulatedScene& s) {
+    return s.dsm.step * static_cast<double>(s.dsm.z.dim(0));
+  };
+  CHECK(std::abs(side(coarse) - side(fine)) < 1);
+  CHECK(coarse.views[0].rpc.samp_off == fine.views[0].rpc.samp_off);
+  config.pixels = 16384;
+  config.cell = 0.02;
+  CHECK(test::error_of<Error>([&] {
+          simulate_scene(config, 3, 0);
+        }).starts_with("simulate: a scene of "));
 }
 
 TEST_CASE("a scene without a kind is refused") {
