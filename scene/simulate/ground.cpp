@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
+#include "satsurf/scene/simulate/draw.h"
 #include "satsurf/scene/simulate/layout.h"
 #include "satsurf/scene/simulate/noise.h"
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <numbers>
+#include <vector>
 
 namespace satsurf::scene::simulate {
 namespace {
@@ -37,6 +40,53 @@ Tensor distance_from_level(const Tensor& noise, float level, float step) {
     }
   });
   return out;
+}
+
+// Rock that stands out of the ground, or gullies that are cut into it, each with a face all around:
+// their shadows fall on slopes that go on beside them, where in a town a shadow lies on the ground
+// at the foot of what throws it.
+void raise_crags(Tensor& terrain, const CityPlan& plan, const Rng& rng) {
+  struct Crags {
+    double period, share;                 // of the noise that places them, m; of the ground
+    float height, face, uneven, upwards;  // m; m from foot to top; share of the height; +-1
+  };
+  const Index N = plan.size;
+  const auto step = static_cast<float>(plan.step), A = static_cast<float>(plan.relief);
+  Rng r = rng.fork(1);
+  std::vector<Crags> all(static_cast<std::size_t>(1 + r.below(3)));
+  float used = 0;
+  for (Crags& c : all) {
+    c.period = log_uniform(r, 25, 130);
+    c.share = log_uniform(r, 0.04, 0.35);
+    c.height = std::min(static_cast<float>(log_uniform(r, 4, 35)), 0.25f * A);
+    c.face = static_cast<float>(log_uniform(r, 0.8, 9));
+    c.uneven = static_cast<float>(r.uniform(0.1, 0.8));
+    c.upwards = r.chance(0.75) ? 1.0f : -1.0f;
+    used += c.height;
+  }
+  for (float& z : terrain.values()) z *= 1 - used / A;  // the ground stays within +-A
+  std::uint64_t key = 2;
+  for (const Crags& c : all) {
+    const Tensor places = fractal_noise(
+        N, N, plan.step,
+        {.period = c.period, .octaves = 4, .gain = 0.45f, .seed = seed_of(rng, key++)});
+    const Tensor tops = fractal_noise(
+        N, N, plan.step, {.period = 0.4 * c.period, .octaves = 3, .seed = seed_of(rng, key++)});
+    // So much of the ground, whatever the noise is like in this part of it.
+    std::vector<float> some;
+    for (Index k = 0; k < N * N; k += 17) some.push_back(places[k]);
+    const auto edge = some.begin() + static_cast<std::ptrdiff_t>(
+                                         (1 - c.share) * static_cast<double>(some.size() - 1));
+    std::nth_element(some.begin(), edge, some.end());
+    const Tensor inside = distance_from_level(places, *edge, step);
+    for_range(N * N, 4096, [&](Index begin, Index end) {
+      for (Index k = begin; k < end; ++k) {
+        const float rise = smooth_step(inside[k] / c.face);
+        terrain[k] +=
+            c.upwards * c.height * rise * (1 - c.uneven * std::clamp(0.5f - tops[k], 0.0f, 1.0f));
+      }
+    });
+  }
 }
 
 struct Benches {
@@ -71,8 +121,9 @@ void shape_ground(Layout& layout, const Rng& rng) {
       fractal_noise(N, N, plan.step, {.period = 150, .octaves = 2, .seed = seed_of(rng, 3)});
   // A quarry is a steep side cut into many benches.
   const bool quarry = rough && draw.chance(0.35);
-  const float tilt = static_cast<float>(quarry ? draw.uniform(0.6, 1.0) : draw.uniform(0, 0.6)),
-              turn = static_cast<float>(draw.uniform(0, 6.2832));
+  float tilt = static_cast<float>(quarry ? draw.uniform(0.6, 1.0) : draw.uniform(0, 0.6));
+  if (plan.crags) tilt = 0.3f + 0.7f * tilt;
+  const float turn = static_cast<float>(draw.uniform(0, 6.2832));
   const float tx = tilt * std::cos(turn) / layout.half_side(),
               ty = tilt * std::sin(turn) / layout.half_side();
   Benches benches;
@@ -109,6 +160,8 @@ void shape_ground(Layout& layout, const Rng& rng) {
       }
     }
   });
+
+  if (plan.crags) raise_crags(layout.terrain, plan, rng.fork(7));
 
   if (plan.water) {
     const Tensor noise = fractal_noise(

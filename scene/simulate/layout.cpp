@@ -101,7 +101,10 @@ class Furnisher {
     }
     const double spacing =
         layout_.plan.kind == SceneKind::rough ? r.uniform(1.8, 4) : r.uniform(4.5, 7);
-    add_groves(layout_, rng_.fork(2), static_cast<float>(f.groves), static_cast<float>(spacing),
+    // Half of the places where rock stands out are above the trees.
+    const bool bare = layout_.plan.crags && rng_.fork(5).chance(0.5);
+    add_groves(layout_, rng_.fork(2), static_cast<float>(bare ? 0 : f.groves),
+               static_cast<float>(spacing),
                layout_.plan.kind == SceneKind::rough ? draw(r, 1.2, 4.5) : draw(r, 3, 6));
     if (f.block_u < 1e5) traffic(rng_.fork(3));
     if (layout_.plan.kind == SceneKind::city || layout_.plan.kind == SceneKind::suburb ||

@@ -73,8 +73,12 @@ CityPlan draw_plan(const SimulateConfig& config, Rng& rng) {
       break;
   }
   plan.water = rng.chance(config.water);
-  // Last, so that nothing else about a scene depends on it.
+  // Last, so that nothing else about a scene depends on them.
   plan.dark = rng.fork(1).chance(config.dark);
+  Rng r = rng.fork(2);
+  plan.crags =
+      (plan.kind == SceneKind::rough || plan.kind == SceneKind::rural) && r.chance(config.crags);
+  if (plan.crags) plan.relief = std::min(log_uniform(r, 20, 110), config.relief_max);
   return plan;
 }
 

@@ -31,6 +31,7 @@ struct SimulateConfig {
   double tallest_max = 150;   ///< m
   double water = 0.15;        ///< share of the scenes
   double dark = 0;            ///< share of the scenes
+  double crags = 0;           ///< share of the rural and the rough scenes
   double panchromatic = 0.4;  ///< share of the scenes
   double same_pass = 0.4;     ///< share of the scenes
   double off_nadir_min_deg = 5, off_nadir_max_deg = 32;
@@ -65,11 +66,12 @@ struct SimulateConfig {
             .min = 0,
             .automatic = "equally often"});
     v("relief_max", s.relief_max,
-      Field{
-          .help = "caps the ground's deviation from its mean, of which no kind draws more than 60",
-          .unit = "m",
-          .min = 0.5,
-          .max = 500});
+      Field{.help =
+                "caps the ground's deviation from its mean, of which no kind draws more than 60, "
+                "or 110 with crags",
+            .unit = "m",
+            .min = 0.5,
+            .max = 500});
     v("tallest_max", s.tallest_max,
       Field{.help = "caps the height above the ground, of which no kind draws more than 150",
             .unit = "m",
@@ -80,6 +82,11 @@ struct SimulateConfig {
     v("dark", s.dark,
       Field{.help = "share of scenes with soil, rock and plants that are dark without a shadow: "
                     "lava, coal, wet and weathered faces, burnt ground",
+            .min = 0,
+            .max = 1});
+    v("crags", s.crags,
+      Field{.help = "share of the rural and the rough scenes with rock that stands out of steeper "
+                    "ground, and gullies, whose shadows fall on slopes",
             .min = 0,
             .max = 1});
     v("panchromatic", s.panchromatic, Field{.help = "share of scenes in grey", .min = 0, .max = 1});

@@ -3,6 +3,7 @@
 #include "satsurf/scene/simulate/city.h"
 #include "satsurf/scene/simulate/conditions.h"
 #include "satsurf/scene/simulate/develop.h"
+#include "satsurf/scene/simulate/layout.h"
 #include "satsurf/scene/simulate/natural.h"
 #include "satsurf/scene/simulate/orbit.h"
 #include "satsurf/scene/simulate/render.h"
@@ -372,6 +373,46 @@ TEST_CASE("dark ground changes the colour of soil, rock and plants and nothing e
   CHECK(darkened >= 2);
   CHECK(layered >= 1);
   CHECK(layered <= 5);
+}
+
+TEST_CASE("rock stands out of open ground where it is asked for, and stays within the relief") {
+  int steeper = 0;
+  for (std::uint64_t seed = 0; seed < 6; ++seed) {
+    CityPlan plan{.kind = seed % 2 == 0 ? SceneKind::rough : SceneKind::rural,
+                  .relief = 40,
+                  .tallest = 24,
+                  .x0 = -100,
+                  .y0 = 100,
+                  .step = 0.5,
+                  .size = 400};
+    const auto faces =
+        [&] {  // cells that are higher than the one beside them by their size or more
+          Layout layout;
+          layout.plan = plan;
+          shape_ground(layout, Rng(seed));
+          Index steep = 0;
+          for (Index k = 0; k < layout.terrain.count(); ++k) {
+            REQUIRE(std::abs(layout.terrain[k]) <= 40.001f);
+            steep += k % 400 > 0 && std::abs(layout.terrain[k] - layout.terrain[k - 1]) > 0.5f;
+          }
+          return steep;
+        };
+    const Index before = faces();
+    plan.crags = true;
+    const Index after = faces();
+    CAPTURE(seed);
+    CHECK(after > 400);  // of 160,000
+    steeper += after > before + 400;
+  }
+  CHECK(steeper >= 4);
+  SimulateConfig config;
+  config.pixels = 64;
+  config.views = 1;
+  config.kinds = {SceneKind::city};
+  const SimulatedScene town = simulate_scene(config, 4, 0);
+  config.crags = 1;
+  CHECK(std::ranges::equal(simulate_scene(config, 4, 0).views[0].rgb.values(),
+                           town.views[0].rgb.values()));
 }
 
 TEST_CASE("kinds are drawn by their weights") {
