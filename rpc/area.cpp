@@ -96,7 +96,7 @@ std::unique_ptr<OGRGeometry> polygons_of(const fs::path& path, GDALDataset& d,
       check_corners(path, *flat, from.IsGeographic() != 0);
       // corners along long sides, which are straight where they were drawn and not in the zone; not
       // so many that sides around the Earth a hundred times fill the memory
-      constexpr double kMostCorners = 1e4;
+      constexpr double kMostCorners = 2e3;
       flat->segmentize(
           std::max(from.IsGeographic() ? 0.001 : 100, perimeter(*flat) / kMostCorners));
       const bool moved = flat->transformTo(&wanted) == OGRERR_NONE;
