@@ -73,7 +73,7 @@ TEST_CASE("the shipped weights on a made-up scene") {
   CHECK(std::abs(static_cast<double>(made.surfels.means.dim(0)) - 98458) < 30);
   // down a column
   const std::array<double, 7> heights{-2.99774, 2.47860, 0.01213, -6.29839,
-                                      2.13693, 0.03343, 1.42174};
+                                      2.13693,  0.03343, 1.42174};
   for (std::size_t k = 0; k < heights.size(); ++k) {
     CAPTURE(k);
     const Index row = (static_cast<Index>(k) + 1) * H / 8;
