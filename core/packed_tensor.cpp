@@ -34,10 +34,7 @@ PackedTensor PackedTensor::levels(const Tensor& t, float unit) {
   Levels levels(static_cast<std::size_t>(t.count()));
   for (Index i = 0; i < t.count(); ++i) {
     const float level = std::round(t[i] / unit);
-    if (!(level >= 0 && level <= 255 && level * unit == t[i])) {
-      out.elements_ = t;
-      return out;
-    }
+    if (!(level >= 0 && level <= 255 && level * unit == t[i])) return PackedTensor(t);
     levels[static_cast<std::size_t>(i)] = static_cast<std::uint8_t>(level);
   }
   out.elements_ = std::move(levels);

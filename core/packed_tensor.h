@@ -14,8 +14,10 @@ namespace satsurf {
 class PackedTensor {
  public:
   PackedTensor() = default;
-  /// In 8 bits if every element is exactly one of the multiples 0 to 255 of `unit`; else as it is,
-  /// sharing its buffer. Nothing is lost.
+  /// As it is, sharing its buffer.
+  explicit PackedTensor(const Tensor& t) : shape_(t.shape()), elements_(t) {}
+  /// In 8 bits if every element is exactly one of the multiples 0 to 255 of `unit`; else as it is.
+  /// Nothing is lost.
   static PackedTensor levels(const Tensor& t, float unit);
   /// In half precision (IEEE 754 binary16), rounded to the nearest: 11 significant bits; beyond 65504
   /// infinite, below 6e-8 zero.
@@ -25,7 +27,7 @@ class PackedTensor {
   bool empty() const { return bytes() == 0; }
   /// Memory of the elements.
   std::size_t bytes() const;
-  /// All elements; a tensor that could not be packed is given as it came, sharing its buffer.
+  /// All elements; a tensor that is kept as it is shares its buffer.
   Tensor tensor() const;
   /// Elements [begin, begin + count) in row-major order.
   void read(Index begin, Index count, float* to) const;

@@ -95,7 +95,8 @@ std::unique_ptr<OGRGeometry> polygons_of(const fs::path& path, GDALDataset& d,
       flat->assignSpatialReference(&from);
       check_corners(path, *flat, from.IsGeographic() != 0);
       // corners along long sides, which are straight where they were drawn and not in the zone; not
-      // so many that sides around the Earth a hundred times fill the memory
+      // so many that sides around the Earth fill the memory, or that those of polygons which cross
+      // each other take seconds to be joined
       constexpr double kMostCorners = 2e3;
       flat->segmentize(
           std::max(from.IsGeographic() ? 0.001 : 100, perimeter(*flat) / kMostCorners));

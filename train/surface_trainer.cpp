@@ -173,37 +173,28 @@ StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& 
 
 KeptLesson::KeptLesson(const SurfaceLesson& lesson)
     : candidates_(lesson.input.candidates),
-      truth_(lesson.truth),
       planes_(PackedTensor::halves(lesson.input.planes)),
+      truth_(lesson.truth),
       weight_(PackedTensor::levels(lesson.weight, 1)),
       interval_(lesson.input.interval) {}
 
 SurfaceLesson KeptLesson::window(Index size, Rng& rng) const {
-  const Index H = truth_.dim(0), W = truth_.dim(1), S = std::min({size, H, W}),
+  const Index H = truth_.shape()[0], W = truth_.shape()[1], S = std::min({size, H, W}),
               top = rng.below(H - S + 1), left = rng.below(W - S + 1), symmetry = rng.below(8);
-  const auto cut = [&](const Shape& shape, const auto& read) {
-    const Index C = shape.rank() == 3 ? shape[0] : 1;
-    auto out = Tensor::uninitialised(shape.rank() == 3 ? Shape{C, S, S} : Shape{S, S});
+  const auto cut = [&](const PackedTensor& map) {
+    const bool planes = map.shape().rank() == 3;
+    const Index C = planes ? map.shape()[0] : 1;
+    auto out = Tensor::uninitialised(planes ? Shape{C, S, S} : Shape{S, S});
     for (Index c = 0; c < C; ++c)
       for (Index i = 0; i < S; ++i)
-        read((c * H + top + i) * W + left, S, out.data() + (c * S + i) * S);
+        map.read((c * H + top + i) * W + left, S, out.data() + (c * S + i) * S);
     return turned(out, symmetry);
   };
-  const auto of = [&](const Tensor& map) {
-    return cut(map.shape(), [&](Index begin, Index count, float* to) {
-      std::copy_n(map.data() + begin, count, to);
-    });
-  };
-  const auto of_packed = [&](const PackedTensor& map) {
-    return cut(map.shape(),
-               [&](Index begin, Index count, float* to) { map.read(begin, count, to); });
-  };
-  return {{of(candidates_), of_packed(planes_), interval_}, of(truth_), of_packed(weight_)};
+  return {{cut(candidates_), cut(planes_), interval_}, cut(truth_), cut(weight_)};
 }
 
 std::size_t KeptLesson::bytes() const {
-  return planes_.bytes() + weight_.bytes() +
-         static_cast<std::size_t>(candidates_.count() + truth_.count()) * sizeof(float);
+  return candidates_.bytes() + planes_.bytes() + truth_.bytes() + weight_.bytes();
 }
 
 nn::SurfaceModel train(const SurfaceTrainConfig& config, const fs::path& data, std::uint64_t seed,

@@ -92,8 +92,7 @@ class KeptLesson {
   std::size_t bytes() const;
 
  private:
-  Tensor candidates_, truth_;
-  PackedTensor planes_, weight_;
+  PackedTensor candidates_, planes_, truth_, weight_;
   double interval_;
 };
 

@@ -165,7 +165,8 @@ rpc::Geodetic place_on(const GivenSurface& surface, double reach, Rng& rng, doub
 
 /// throws  Error for a scene that does not fit into memory
 void check_size(Index cells, const SimulateConfig& config) {
-  constexpr double kCell = 85, kPixel = 16, kInTheMaking = 48;  // bytes, as measured
+  // Bytes; they cover the peaks of scenes of 1024 and 2048 px.
+  constexpr double kCell = 85, kPixel = 16, kInTheMaking = 48;
   const double pixels = std::pow(static_cast<double>(config.pixels), 2);
   check_memory("simulate: a scene of " + std::to_string(cells) + " cells a side needs",
                kCell * std::pow(static_cast<double>(cells), 2) +

@@ -71,6 +71,17 @@ City grove(Index N) {
   return city;
 }
 
+/// A square of 400 x 400 cells, rough or rural by turns.
+CityPlan open_country(std::uint64_t seed, double relief) {
+  return {.kind = seed % 2 == 0 ? SceneKind::rough : SceneKind::rural,
+          .relief = relief,
+          .tallest = 24,
+          .x0 = -100,
+          .y0 = 100,
+          .step = 0.5,
+          .size = 400};
+}
+
 }  // namespace
 
 TEST_CASE("the stretch saturates the share it is asked for, unless nothing is bright") {
@@ -327,13 +338,7 @@ TEST_CASE("dark ground changes the colour of soil, rock and plants and nothing e
   };
   int darkened = 0, layered = 0;
   for (std::uint64_t seed = 0; seed < 6; ++seed) {
-    CityPlan plan{.kind = seed % 2 == 0 ? SceneKind::rough : SceneKind::rural,
-                  .relief = 20,
-                  .tallest = 24,
-                  .x0 = -100,
-                  .y0 = 100,
-                  .step = 0.5,
-                  .size = 400};
+    CityPlan plan = open_country(seed, 20);
     const City bright = make_city(plan, Rng(seed));
     plan.dark = true;
     const City dark = make_city(plan, Rng(seed));
@@ -378,25 +383,19 @@ TEST_CASE("dark ground changes the colour of soil, rock and plants and nothing e
 TEST_CASE("rock stands out of open ground where it is asked for, and stays within the relief") {
   int steeper = 0;
   for (std::uint64_t seed = 0; seed < 6; ++seed) {
-    CityPlan plan{.kind = seed % 2 == 0 ? SceneKind::rough : SceneKind::rural,
-                  .relief = 40,
-                  .tallest = 24,
-                  .x0 = -100,
-                  .y0 = 100,
-                  .step = 0.5,
-                  .size = 400};
-    const auto faces =
-        [&] {  // cells that are higher than the one beside them by their size or more
-          Layout layout;
-          layout.plan = plan;
-          shape_ground(layout, Rng(seed));
-          Index steep = 0;
-          for (Index k = 0; k < layout.terrain.count(); ++k) {
-            REQUIRE(std::abs(layout.terrain[k]) <= 40.001f);
-            steep += k % 400 > 0 && std::abs(layout.terrain[k] - layout.terrain[k - 1]) > 0.5f;
-          }
-          return steep;
-        };
+    CityPlan plan = open_country(seed, 40);
+    // cells that differ from the one beside them by their size or more
+    const auto faces = [&] {
+      Layout layout;
+      layout.plan = plan;
+      shape_ground(layout, Rng(seed));
+      Index steep = 0;
+      for (Index k = 0; k < layout.terrain.count(); ++k) {
+        REQUIRE(std::abs(layout.terrain[k]) <= 40.001f);
+        steep += k % 400 > 0 && std::abs(layout.terrain[k] - layout.terrain[k - 1]) > 0.5f;
+      }
+      return steep;
+    };
     const Index before = faces();
     plan.crags = true;
     const Index after = faces();
