@@ -3,6 +3,7 @@
 
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/core/symmetry.h"
 #include "satsurf/ops/candidates.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/elementwise.h"
@@ -22,6 +23,9 @@ constexpr std::array<Index, 5> kWidths{1, 2, 4, 6, 8};
 /// 3 x 3 convolutions behind the halvings to strides 2 to 16.
 constexpr std::array<Index, 4> kSame{1, 1, 1, 2};
 constexpr Index kMultiple = 16;
+/// Mirrored east to west, north to south, and both: four of the eight symmetries give four fifths of
+/// what all of them do.
+constexpr Index kOrientations = 4;
 
 /// A height of any size as a number of order 1: differences of noise and those of towers both tell.
 double squeezed(double z) { return 0.5 * std::asinh(z); }
@@ -30,8 +34,7 @@ double squeezed(double z) { return 0.5 * std::asinh(z); }
 /// mode, then the planes, then where there are surfels.
 constexpr Index kChannels = 2 * kSurfaceCandidates + kSurfacePlanes + 1;
 
-/// The channels of the network, padded with what a hole looks like: [1 C H W], H and W multiples of
-/// kMultiple.
+/// The channels of the network, padded with what a hole looks like.
 template <class T>
 BasicTensor<T> channels_of(const SurfaceInput& input) {
   Dims dim("surface_net");
@@ -69,6 +72,17 @@ BasicTensor<T> channels_of(const SurfaceInput& input) {
   return out;
 }
 
+/// The network's answers for the cells of a surface of H x W.
+/// all  [1 K+2 h w]
+template <class T>
+SurfaceOutput<T> output_of(const BasicVar<T>& all, Index H, Index W) {
+  const auto cut = [&](Index first, Index last, const Shape& shape) {
+    return reshape(slice(slice(slice(all, 1, first, last), 2, 0, H), 3, 0, W), shape);
+  };
+  constexpr Index K = kSurfaceCandidates;
+  return {cut(0, K, {K, H, W}), cut(K, K + 1, {H, W}), cut(K + 1, K + 2, {H, W})};
+}
+
 }  // namespace
 
 template <class T>
@@ -92,8 +106,13 @@ SurfaceNet<T>::SurfaceNet(ParameterSet<T>& p, const SurfaceConfig& config)
 }
 
 template <class T>
-SurfaceOutput<T> SurfaceNet<T>::operator()(const SurfaceInput& input) const {
-  std::vector<BasicVar<T>> skips{relu(stem_(BasicVar<T>(channels_of<T>(input))))};
+BasicTensor<T> SurfaceNet<T>::channels(const SurfaceInput& input) {
+  return channels_of<T>(input);
+}
+
+template <class T>
+BasicVar<T> SurfaceNet<T>::maps(const BasicTensor<T>& channels) const {
+  std::vector<BasicVar<T>> skips{relu(stem_(BasicVar<T>(channels)))};
   for (const Down& down : down_) {
     BasicVar<T> x = relu(down.halve(skips.back()));
     for (const Conv2d<T>& same : down.same) x = relu(same(x));
@@ -106,13 +125,27 @@ SurfaceOutput<T> SurfaceNet<T>::operator()(const SurfaceInput& input) const {
     // a 1 x 1 convolution and a resampling commute; this order costs a quarter
     x = relu(up.same(resize_bilinear(up.reduce(x), skip.dim(2), skip.dim(3)) + skip));
   }
-  const BasicVar<T> all = head_(x);
-  const Index H = input.planes.dim(1), W = input.planes.dim(2);
-  const auto cut = [&](Index first, Index last, const Shape& shape) {
-    return reshape(slice(slice(slice(all, 1, first, last), 2, 0, H), 3, 0, W), shape);
-  };
-  constexpr Index K = kSurfaceCandidates;
-  return {cut(0, K, {K, H, W}), cut(K, K + 1, {H, W}), cut(K + 1, K + 2, {H, W})};
+  return head_(x);
+}
+
+template <class T>
+SurfaceOutput<T> SurfaceNet<T>::operator()(const SurfaceInput& input) const {
+  return output_of(maps(channels(input)), input.planes.dim(1), input.planes.dim(2));
+}
+
+SurfaceModel turned(const SurfaceModel& network, Index symmetry) {
+  SurfaceModel out(network.config(), 0);
+  for (std::size_t i = 0; i < out.parameters().entries().size(); ++i) {
+    const Tensor& from = network.parameters().entries()[i].var.value();
+    Var to = out.parameters().entries()[i].var;
+    const Shape shape = from.shape();
+    to.mutable_value() =
+        shape.rank() == 4
+            ? turned(from.reshaped({shape[0] * shape[1], shape[2], shape[3]}), symmetry)
+                  .reshaped(shape)
+            : from.clone();
+  }
+  return out;
 }
 
 bool has_candidate(const Tensor& candidates, Index cell) {
@@ -124,7 +157,18 @@ bool has_candidate(const Tensor& candidates, Index cell) {
 
 RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
   const NoGrad no_grad;
-  const SurfaceOutput<float> out = network(input);
+  const Tensor channels = SurfaceNet<float>::channels(input);
+  Tensor mean;
+  for (Index s = 0; s < kOrientations; ++s) {
+    const Tensor one = turned(network, s).net().maps(channels).value();
+    if (mean.empty()) mean = Tensor(one.shape());
+    for_each_index(mean.dim(1), [&](Index c) {
+      const Index n = mean.count() / mean.dim(1);
+      for (Index i = c * n; i < (c + 1) * n; ++i) mean[i] += one[i] / float{kOrientations};
+    });
+  }
+  const SurfaceOutput<float> out =
+      output_of(Var(std::move(mean)), input.planes.dim(1), input.planes.dim(2));
   RefinedSurface surface{
       chosen_height(out.logits, out.residual, input.candidates, kSurfaceReach * input.interval)
           .value(),

@@ -83,6 +83,10 @@ class SurfaceNet {
   /// input   a surface of any size
   /// throws  ShapeError
   SurfaceOutput<T> operator()(const SurfaceInput& input) const;
+  /// What comes before the first convolution, [1 C h w]: h and w are multiples of the coarsest stride.
+  static BasicTensor<T> channels(const SurfaceInput& input);
+  /// What comes of it: the logits, the residual and the logarithm of the scale, [1 K+2 h w].
+  BasicVar<T> maps(const BasicTensor<T>& channels) const;
 
  private:
   struct Down {
@@ -112,6 +116,7 @@ class BasicSurfaceModel {
   const ParameterSet<T>& parameters() const { return parameters_; }
   /// As SurfaceNet.
   SurfaceOutput<T> operator()(const SurfaceInput& input) const { return net_(input); }
+  const SurfaceNet<T>& net() const { return net_; }
 
  private:
   SurfaceConfig config_;
@@ -119,6 +124,11 @@ class BasicSurfaceModel {
   SurfaceNet<T> net_;
 };
 using SurfaceModel = BasicSurfaceModel<float>;
+
+/// The network that sees the mirror image of what `network` sees, and answers with that of its
+/// answer: the kernels of its convolutions are turned instead of the maps.
+/// symmetry  see `turned`
+SurfaceModel turned(const SurfaceModel& network, Index symmetry);
 
 /// A surface as the network made it.
 struct RefinedSurface {
@@ -131,7 +141,8 @@ struct RefinedSurface {
 /// Whether a cell has any candidate at all.
 /// candidates  [K H W]
 bool has_candidate(const Tensor& candidates, Index cell);
-/// Applies a network.
+/// Applies a network to a surface as it is, mirrored east to west, north to south, and both, and takes
+/// the mean of what it says: a mirrored place is as likely as the place itself.
 /// throws  ShapeError
 RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input);
 

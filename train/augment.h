@@ -17,11 +17,4 @@ Radiometry random_radiometry(double amount, double grey_share, Rng& rng);
 /// Changes the valid pixels of a view.
 void apply(const Radiometry& radiometry, nn::PosedImage& view);
 
-/// One of the eight symmetries of the square: bit 0 mirrors columns, bit 1 mirrors rows, bit 2 swaps
-/// the two before.
-/// map       [S S] or [C S S]
-/// symmetry  0 to 7
-/// throws    ShapeError
-Tensor turned(const Tensor& map, Index symmetry);
-
 }  // namespace satsurf::train

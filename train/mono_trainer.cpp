@@ -3,6 +3,7 @@
 
 #include "satsurf/core/dims.h"
 #include "satsurf/core/fields_json.h"
+#include "satsurf/core/symmetry.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/ssi_loss.h"
@@ -73,7 +74,7 @@ MonoSample window(const MonoTrainConfig& config, const std::vector<scene::Scene>
       break;
   }
   apply(random_radiometry(config.radiometry, config.grey_share, rng), view);
-  const Index symmetry = rng.below(8);
+  const Index symmetry = rng.below(kSymmetries);
   view.rgb = turned(view.rgb, symmetry);
   view.valid = turned(view.valid, symmetry);
   return {nn::standardised<float>(view), turned(truth, symmetry), turned(valid, symmetry)};

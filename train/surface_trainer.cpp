@@ -2,6 +2,7 @@
 #include "satsurf/train/surface_trainer.h"
 
 #include "satsurf/core/fields_json.h"
+#include "satsurf/core/symmetry.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/ops/candidates.h"
 #include "satsurf/ops/elementwise.h"
@@ -180,7 +181,8 @@ KeptLesson::KeptLesson(const SurfaceLesson& lesson)
 
 SurfaceLesson KeptLesson::window(Index size, Rng& rng) const {
   const Index H = truth_.shape()[0], W = truth_.shape()[1], S = std::min({size, H, W}),
-              top = rng.below(H - S + 1), left = rng.below(W - S + 1), symmetry = rng.below(8);
+              top = rng.below(H - S + 1), left = rng.below(W - S + 1),
+              symmetry = rng.below(kSymmetries);
   const auto cut = [&](const PackedTensor& map) {
     const bool planes = map.shape().rank() == 3;
     const Index C = planes ? map.shape()[0] : 1;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
+#include "satsurf/core/symmetry.h"
 #include "satsurf/nn/surface_net.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/ops/candidates.h"
@@ -88,6 +89,35 @@ TEST_CASE("a cell's height does not depend on the surface far away, nor on the t
   set_threads(0);
   CHECK(same_bits(alone.heights, all.heights));
   CHECK(same_bits(alone.sigma, all.sigma));
+}
+
+TEST_CASE(
+    "a mirrored surface is the surface of what is mirrored, and a turned network sees all turned") {
+  const SurfaceModel network({.base = 3}, 4);
+  const SurfaceInput input = some_input(32, 32);
+  const RefinedSurface upright = refined(network, input);
+  const Tensor once = network(input).log_scale.value();
+  const NoGrad no_grad;
+  float differ = 0;  // of the network that looks once
+  for (Index s = 0; s < kSymmetries; ++s) {
+    CAPTURE(s);
+    const SurfaceInput other{turned(input.candidates, s), turned(input.planes, s), input.interval};
+    const RefinedSurface back = refined(network, other);
+    const Tensor heights = turned(upright.heights, s), sigma = turned(upright.sigma, s);
+    const Tensor mirrored = turned(network, s)(other).log_scale.value(), expected = turned(once, s),
+                 alone = network(other).log_scale.value();
+    for (Index i = 0; i < heights.count(); ++i) {
+      REQUIRE(std::isnan(heights[i]) == std::isnan(back.heights[i]));
+      if (std::isnan(heights[i])) continue;
+      if (s < 4) {
+        REQUIRE(back.heights[i] == doctest::Approx(heights[i]).epsilon(1e-3));
+        REQUIRE(back.sigma[i] == doctest::Approx(sigma[i]).epsilon(1e-3));
+      }
+      REQUIRE(mirrored[i] == doctest::Approx(expected[i]).epsilon(1e-3));
+      differ = std::max(differ, std::abs(alone[i] - expected[i]));
+    }
+  }
+  CHECK(differ > 1e-2f);
 }
 
 TEST_CASE("surface network: gradients in double") {

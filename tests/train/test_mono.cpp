@@ -2,6 +2,7 @@
 #include "satsurf/app/record.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/core/symmetry.h"
 #include "satsurf/core/version.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/scene/simulate/scene.h"
@@ -201,24 +202,6 @@ TEST_CASE("monocular samples are a function of seed and step, and true") {
       REQUIRE((sample.valid[i] == 0 || same->truth[i] == sample.truth[i]));
   }
   CHECK(seen.size() == 8);
-}
-
-TEST_CASE("the eight symmetries of a square are eight, and move all planes alike") {
-  const Tensor map = Tensor::from({2, 2, 2}, {1, 2, 3, 4, 5, 6, 7, 8});
-  const auto values = [&](Index s) {
-    const auto v = turned(map, s);
-    return std::vector<float>(v.values().begin(), v.values().end());
-  };
-  CHECK(values(0) == std::vector<float>{1, 2, 3, 4, 5, 6, 7, 8});
-  CHECK(values(1) == std::vector<float>{2, 1, 4, 3, 6, 5, 8, 7});
-  CHECK(values(2) == std::vector<float>{3, 4, 1, 2, 7, 8, 5, 6});
-  CHECK(values(4) == std::vector<float>{1, 3, 2, 4, 5, 7, 6, 8});
-  CHECK(values(5) == std::vector<float>{3, 1, 4, 2, 7, 5, 8, 6});
-  std::set<std::vector<float>> all;
-  for (Index s = 0; s < 8; ++s) all.insert(values(s));
-  CHECK(all.size() == 8);
-  CHECK_THROWS_WITH_AS(turned(Tensor({2, 3}), 1),
-                       "turned: map has shape [2,3], expected [S S] or [C S S]", ShapeError);
 }
 
 TEST_CASE("correlation of relative heights") {
