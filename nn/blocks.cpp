@@ -74,6 +74,11 @@ template <class T>
 Normalised<T> ConvNorm3d<T>::apply(const Normalised<T>& x, const BasicVar<T>& weights) const {
   ChannelMoments moments;
   const auto y = conv3d(x, weights, {}, options, &moments);
+  return finished(y, moments);
+}
+
+template <class T>
+Normalised<T> ConvNorm3d<T>::finished(const BasicVar<T>& y, const ChannelMoments& moments) const {
   return normalised(y, gamma, beta, Activation::relu, moments);
 }
 

@@ -48,6 +48,10 @@ struct ConvNorm3d {
   Normalised<T> operator()(const Normalised<T>& x) const { return apply(x, weight); }
   /// With other weights than its own, such as for further channels.
   Normalised<T> apply(const Normalised<T>& x, const BasicVar<T>& weights) const;
+  /// What follows the convolution, for who convolves in parts.
+  /// y        the convolution's result
+  /// moments  of its channels
+  Normalised<T> finished(const BasicVar<T>& y, const ChannelMoments& moments) const;
 };
 
 /// Transposed 3D convolution that doubles every axis, GroupNorm and ReLU, on volumes [B C D H W].

@@ -3,12 +3,17 @@
 
 #include "satsurf/nn/blocks.h"
 #include "satsurf/nn/choices.h"
+#include "satsurf/ops/cost_volume.h"
 
 #include <functional>
 #include <optional>
 #include <vector>
 
 namespace satsurf::nn {
+
+/// Rows of a volume that are swept and convolved together.
+/// row  numbers in a row of all its planes
+Index band_rows(Index row);
 
 /// The sizes of a CostNet.
 struct CostNetOptions {
@@ -35,12 +40,22 @@ class CostNet {
   /// throws   ShapeError
   BasicVar<T> operator()(BasicVar<T> volume, const BasicVar<T>& features = {},
                          const std::function<void()>& poll = {}) const;
+  /// The same without a tape, of a volume that is swept and read a band of rows at a time: a third
+  /// less memory.
+  BasicVar<T> operator()(const PlaneSweep<T>& sweep, const BasicVar<T>& features = {},
+                         const std::function<void()>& poll = {}) const;
 
  private:
   struct Level {
     ConvNorm3d<T> down, same;
     UpNorm3d<T> up;
   };
+  BasicVar<T> first_weight() const;
+  Normalised<T> first_of(const PlaneSweep<T>& sweep, const std::function<void()>& poll) const;
+  /// All that follows the first convolution.
+  BasicVar<T> after_first(Normalised<T> first, const BasicVar<T>& features,
+                          const std::function<void()>& poll) const;
+
   ConvNorm3d<T> first_;
   std::optional<BasicVar<T>> more_;  ///< the first convolution's weights of the further channels
   std::vector<Level> levels_;

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/block_pool.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/nn/cost_net.h"
 
 #include <algorithm>
 #include <array>
@@ -29,6 +30,21 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
   add("features", (N - 1) * (1.75 * b + all_mono_maps) + 10.75 * b + 3);
   double kept =
       N * (1.75 * b + all_mono_maps + 3 + 1);  // features, monocular ones, images, validity
+  // Hypotheses and probabilities of a stage.
+  const auto distribution_of = [&](std::size_t s) {
+    return 2 * N * static_cast<double>(config.hypotheses[s]) /
+           static_cast<double>(kStrides[s] * kStrides[s]);
+  };
+  // Floats of the bands that a stage's volume is swept in.
+  const auto bands_of = [&](std::size_t s) {
+    const Index H = height / kStrides[s], W = width / kStrides[s],
+                channels = config.base * kStrides[s] + (config.best_pair ? kPairChannels : 0),
+                row = channels * config.hypotheses[s] * W, rows = row > 0 ? band_rows(row) : H;
+    const Index floats =
+        rows < H ? 2 * (rows + 2) * row + rows * config.volume_base * config.hypotheses[s] * W
+                 : (H + 2) * row;
+    return static_cast<double>(floats);
+  };
   for (std::size_t s = 0; s < 3; ++s) {
     const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);
     const double C = static_cast<double>(config.base * kStrides[s]);
@@ -37,13 +53,19 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
     const std::string stage = " " + std::to_string(s + 1);
     if (s > 0) kept -= N * mono_maps[s];  // fused
     kept += N * p * D;                    // hypotheses
+    if (s > 0 && wanted == Wanted::discs) kept -= distribution_of(s - 1);
     if (mono && s < 2) kept += N * p;
-    // One view's volume and what the first convolution makes of it, or the sum at the U-Net's end;
-    // then logits, their concatenation and the probabilities of all views.
+    // Of one view the features' pixels, and two bands of the volume with what the first convolution
+    // makes of all, or the sum at the U-Net's end; then logits, their concatenation and the
+    // probabilities of all views.
     const double scratch = std::min(kScratch * threads(), 0.25 * D * p * v * pixels) / pixels;
-    const double volume = N * D + D * std::max(C + v, 2.3 * v), distribution = 2 * N * D + 2 * N;
+    const double first = bands_of(s) / (p * pixels) + D * v;
+    const double volume = N * D + N * C + std::max(first, 2.3 * D * v),
+                 distribution = 2 * N * D + 2 * N;
     add("volumes" + stage, kept + std::max(p * volume + scratch, p * distribution));
     kept += N * p * (D + 3);  // probability, height, two confidences
+    if (wanted != Wanted::surfels) kept -= N * p * C;
+    if (wanted == Wanted::discs && s == 2) kept -= distribution_of(s);
     // One view's input, once more in parts, and three layers of the head; then all raw attributes,
     // packed surfels and their attributes.
     const double surfels = N * (kRaw + 2 * kSurfel);

@@ -101,6 +101,13 @@ std::vector<PixelGeometry> stage_geometry(const NetworkInput& scene, const Stage
   return geometry;
 }
 
+/// Forgets what only the stage behind it, and surfels of many forms, ask of a stage.
+template <class T>
+void drop_distribution(StageHeights<T>& stage) {
+  stage.hypotheses = {};
+  stage.probability = {};
+}
+
 /// Those that a stage hands on: its own, and behind them those of the stages before if all are kept.
 template <class T>
 splat::BasicSurfels<T> kept_surfels(Keep keep, const splat::BasicSurfels<T>& own,
@@ -181,13 +188,17 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
 
     // search: variance volumes, 3D U-Net, distribution of heights, confidence
     const BasicTensor<T> validity = downsampled(features.validity, grid.stride);
-    const BasicTensor<T> hypotheses = stage_hypotheses<T>(scene, grid, previous, config.centre);
-    const SearchOutput<T> found =
-        part.search(scene, grid, {matching, validity, hypotheses, previous, in_search}, poll);
-    const StageHeights<T>& heights = found.heights;
-    in_search = found.in_next_search;
+    BasicTensor<T> hypotheses = stage_hypotheses<T>(scene, grid, previous, config.centre);
+    if (wanted == Wanted::discs && s > 0) drop_distribution(out[s - 1]);
+    SearchOutput<T> found = part.search(
+        scene, grid, {matching, validity, std::move(hypotheses), previous, in_search}, poll);
+    in_search = std::move(found.in_next_search);
     meter.end("volumes " + std::to_string(s + 1));
-    out[s] = {heights, grid.stride, {}, downsampled(features.mono_height, grid.stride)};
+    out[s] = {
+        std::move(found.heights), grid.stride, {}, downsampled(features.mono_height, grid.stride)};
+    const StageHeights<T>& heights = out[s];
+    if (wanted != Wanted::surfels) features.fpn[s] = {};  // the heads alone read them again
+    if (wanted == Wanted::discs && s == 2) drop_distribution(out[s]);
     if (wanted == Wanted::heights || (wanted == Wanted::discs && s < 2)) continue;
     const BasicVar<T> image(downsampled(features.images, grid.stride));
     const BasicVar<T> confidence = head_confidence(config, heights);

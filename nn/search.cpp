@@ -59,9 +59,14 @@ BasicVar<T> HeightSearch<T>::logits(const NetworkInput& scene, const StageGrid& 
     std::vector<Quadratic> maps;
     for (const Quadratic& q : scene.transfer[static_cast<std::size_t>(i)])
       maps.push_back(rescale_pixels(q, stride, stride));
-    of_views.push_back((*cost_)(
-        plane_sweep_variance(in.features, i, maps, in.hypotheses.slice0(i), in.validity, sweep_),
-        slice(in.features, 0, i, i + 1), poll));
+    const BasicTensor<T> heights = in.hypotheses.slice0(i);
+    const BasicVar<T> reference = slice(in.features, 0, i, i + 1);
+    of_views.push_back(
+        NoGrad::active()
+            ? (*cost_)(PlaneSweep<T>(in.features.value(), i, maps, heights, in.validity, sweep_),
+                       reference, poll)
+            : (*cost_)(plane_sweep_variance(in.features, i, maps, heights, in.validity, sweep_),
+                       reference, poll));
   }
   return concat(std::exchange(of_views, {}), 0);
 }

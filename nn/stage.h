@@ -9,7 +9,7 @@ namespace satsurf::nn {
 /// What a forward pass is asked for.
 enum class Wanted {
   heights,  ///< the search alone: neither guidance nor surfels, a third less work
-  discs,    ///< the search, and of the last stage's heights surfels that are all alike
+  discs,    ///< heights and, of the last stage's, surfels that are all alike; no distributions
   surfels   ///< all of it
 };
 

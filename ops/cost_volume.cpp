@@ -13,29 +13,10 @@
 #include <string>
 
 namespace satsurf {
-namespace {
-
-Index channel_stride(Index C) { return C <= 4 ? 4 : C <= 8 ? 8 : (C + 15) / 16 * 16; }
-
-SweepMap restrict_to_row(const Quadratic& q, Index y) {
-  const double b = (static_cast<double>(y) - q.offset[1]) / q.scale[1];
-  SweepMap m{1 / q.scale[0], -q.offset[0] / q.scale[0], 1 / q.scale[2], q.offset[2], {}, {}};
-  for (std::size_t k = 0; k < 2; ++k) {
-    const auto& c = q.coeff[k];
-    double* out = k == 0 ? m.u : m.v;
-    out[0] = c[0] + b * (c[2] + b * c[7]);
-    out[1] = c[1] + b * c[5];
-    out[2] = c[4];
-    out[3] = c[3] + b * c[8];
-    out[4] = c[6];
-    out[5] = c[9];
-  }
-  return m;
-}
 
 /// What one call works on, all but the features; shared by forward and backward.
 template <class T>
-struct Sweep {
+struct detail::Sweep {
   Index N, C, D, H, W, Cs, reference;
   std::vector<Quadratic> maps;  // of the source views, in order
   std::vector<Index> sources;   // their indices
@@ -58,11 +39,34 @@ struct Sweep {
   }
 };
 
+namespace {
+
+using detail::Sweep;
+
+Index channel_stride(Index C) { return C <= 4 ? 4 : C <= 8 ? 8 : (C + 15) / 16 * 16; }
+
+SweepMap restrict_to_row(const Quadratic& q, Index y) {
+  const double b = (static_cast<double>(y) - q.offset[1]) / q.scale[1];
+  SweepMap m{1 / q.scale[0], -q.offset[0] / q.scale[0], 1 / q.scale[2], q.offset[2], {}, {}};
+  for (std::size_t k = 0; k < 2; ++k) {
+    const auto& c = q.coeff[k];
+    double* out = k == 0 ? m.u : m.v;
+    out[0] = c[0] + b * (c[2] + b * c[7]);
+    out[1] = c[1] + b * c[5];
+    out[2] = c[4];
+    out[3] = c[3] + b * c[8];
+    out[4] = c[6];
+    out[5] = c[9];
+  }
+  return m;
+}
+
 /// The kernel's view of reference rows, with the scratch of one thread's piece.
 template <class T>
 class RowWork {
  public:
-  RowWork(const Sweep<T>& sweep, const T* pixels)
+  /// plane  numbers between the planes that are written forward
+  RowWork(const Sweep<T>& sweep, const T* pixels, Index plane = 0)
       : sweep_(sweep), pixels_(pixels), maps_(sweep.J()), lines_(sweep.J()), taps_(sweep.J()) {
     const Index P = sweep.H * sweep.W, Cs = sweep.Cs;
     for (const Index j : sweep.sources) {
@@ -84,6 +88,7 @@ class RowWork {
           nullptr,
           sweep.reference_counts,
           nullptr,
+          plane,
           nullptr,
           lines_.data(),
           taps_.data(),
@@ -197,12 +202,11 @@ void add_gradient(const Sweep<T>& sweep, const std::vector<std::int32_t>& range,
   });
 }
 
-}  // namespace
-
+/// Throws ShapeError.
 template <class T>
-BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
-                                 const std::vector<Quadratic>& maps, const BasicTensor<T>& heights,
-                                 const BasicTensor<T>& valid, const SweepOptions& options) {
+Sweep<T> checked_sweep(const BasicTensor<T>& features, Index reference,
+                       const std::vector<Quadratic>& maps, const BasicTensor<T>& heights,
+                       const BasicTensor<T>& valid, const SweepOptions& options) {
   Dims dim("plane_sweep_variance");
   dim.match("features", features, "N C H W").match("heights", heights, "D H W");
   if (!valid.empty()) dim.match("valid", valid, "N H W");
@@ -210,7 +214,7 @@ BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
       dim["N"],  dim["C"], dim["D"], dim["H"], dim["W"], channel_stride(dim["C"]),
       reference, {},       {},       heights,  valid,    options.include_reference ? T(1) : T(0),
       {}};
-  const Index N = sweep.N, H = sweep.H, W = sweep.W;
+  const Index N = sweep.N;
   if (reference < 0 || reference >= N)
     throw ShapeError("plane_sweep_variance: reference is " + std::to_string(reference) +
                      ", expected one of " + std::to_string(N) + " views");
@@ -222,33 +226,71 @@ BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
     sweep.sources.push_back(j);
     sweep.maps.push_back(maps[j]);
   }
-
-  const Index J = sweep.J();
-  Index channels = sweep.C;
   if (options.best_pair) {
-    if (J > std::numeric_limits<std::int8_t>::max())
+    if (sweep.J() > std::numeric_limits<std::int8_t>::max())
       throw ShapeError("plane_sweep_variance: " + std::to_string(N) +
                        " views, expected 128 or fewer for the best pair");
-    sweep.best =
-        std::make_shared_for_overwrite<std::int8_t[]>(static_cast<std::size_t>(sweep.D * H * W));
-    channels += kPairChannels;
+    sweep.best = std::make_shared_for_overwrite<std::int8_t[]>(
+        static_cast<std::size_t>(sweep.D * sweep.H * sweep.W));
   }
-  auto out = BasicTensor<T>::uninitialised({channels, sweep.D, H, W});
-  std::vector<std::int32_t> range(2 * J * H);  // source rows read by each reference row
-  const BasicTensor<T> pixels = sweep.channels_last(features.value().data());
-  const auto forward = active_kernels<SweepKernels<T>>().forward;
-  for_range(H, 2, [&](Index begin, Index end) {
-    RowWork<T> work(sweep, pixels.data());
-    for (Index y = begin; y < end; ++y)
-      forward(work.at_row(y), out.data() + y * W, range.data() + 2 * J * y);
-  });
+  return sweep;
+}
 
+template <class T>
+Shape volume_shape(const Sweep<T>& sweep) {
+  return {sweep.C + (sweep.best ? kPairChannels : 0), sweep.D, sweep.H, sweep.W};
+}
+
+/// Rows first .. last - 1 of the volume.
+/// to, plane  as PlaneSweep::rows
+/// range      [H J 2] takes the source rows that each of these reads
+template <class T>
+void sweep_rows(const Sweep<T>& sweep, const BasicTensor<T>& pixels, Index first, Index last, T* to,
+                Index plane, std::int32_t* range) {
+  const auto forward = active_kernels<SweepKernels<T>>().forward;
+  for_range(last - first, 2, [&](Index begin, Index end) {
+    RowWork<T> work(sweep, pixels.data(), plane);
+    for (Index y = first + begin; y < first + end; ++y)
+      forward(work.at_row(y), to + (y - first) * sweep.W, range + 2 * sweep.J() * y);
+  });
+}
+
+}  // namespace
+
+template <class T>
+BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
+                                 const std::vector<Quadratic>& maps, const BasicTensor<T>& heights,
+                                 const BasicTensor<T>& valid, const SweepOptions& options) {
+  Sweep<T> sweep = checked_sweep(features.value(), reference, maps, heights, valid, options);
+  const Index H = sweep.H;
+  auto out = BasicTensor<T>::uninitialised(volume_shape(sweep));
+  std::vector<std::int32_t> range(2 * sweep.J() * H);  // source rows read by each reference row
+  sweep_rows(sweep, sweep.channels_last(features.value().data()), 0, H, out.data(), H * sweep.W,
+             range.data());
   return BasicVar<T>::record("plane_sweep_variance", out, {features},
                              [sweep = std::move(sweep), range = std::move(range)](Node<T>& n) {
                                if (T* df = n.grad_in(0))
                                  add_gradient(sweep, range, n.in(0), n.grad.data(), df);
                              });
 }
+
+template <class T>
+PlaneSweep<T>::PlaneSweep(const BasicTensor<T>& features, Index reference,
+                          const std::vector<Quadratic>& maps, const BasicTensor<T>& heights,
+                          const BasicTensor<T>& valid, const SweepOptions& options)
+    : sweep_(std::make_shared<const Sweep<T>>(
+          checked_sweep(features, reference, maps, heights, valid, options))),
+      pixels_(sweep_->channels_last(features.data())),
+      shape_(volume_shape(*sweep_)) {}
+
+template <class T>
+void PlaneSweep<T>::rows(Index first, Index last, T* to, Index plane) const {
+  std::vector<std::int32_t> range(2 * sweep_->J() * sweep_->H);
+  sweep_rows(*sweep_, pixels_, first, last, to, plane, range.data());
+}
+
+template class PlaneSweep<float>;
+template class PlaneSweep<double>;
 
 template BasicVar<float> plane_sweep_variance(const BasicVar<float>&, Index,
                                               const std::vector<Quadratic>&,

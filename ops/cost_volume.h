@@ -4,9 +4,15 @@
 #include "satsurf/core/quadratic.h"
 #include "satsurf/core/var.h"
 
+#include <memory>
 #include <vector>
 
 namespace satsurf {
+
+namespace detail {
+template <class T>
+struct Sweep;
+}
 
 /// What a plane sweep measures.
 struct SweepOptions {
@@ -43,5 +49,27 @@ template <class T>
 BasicVar<T> plane_sweep_variance(const BasicVar<T>& features, Index reference,
                                  const std::vector<Quadratic>& maps, const BasicTensor<T>& heights,
                                  const BasicTensor<T>& valid, const SweepOptions& options = {});
+
+/// The same volume without a tape, for who reads it once and does not want it whole: it is the
+/// largest tensor of all.
+template <class T>
+class PlaneSweep {
+ public:
+  /// Arguments and errors are those of `plane_sweep_variance`.
+  PlaneSweep(const BasicTensor<T>& features, Index reference, const std::vector<Quadratic>& maps,
+             const BasicTensor<T>& heights, const BasicTensor<T>& valid,
+             const SweepOptions& options = {});
+  /// [C D H W] of the volume, C with those of the best pair.
+  const Shape& shape() const { return shape_; }
+  /// Computes the rows from `first` to before `last`.
+  /// to     where row `first` of the first plane goes
+  /// plane  numbers between the planes there
+  void rows(Index first, Index last, T* to, Index plane) const;
+
+ private:
+  std::shared_ptr<const detail::Sweep<T>> sweep_;
+  BasicTensor<T> pixels_;
+  Shape shape_;
+};
 
 }  // namespace satsurf

@@ -305,7 +305,7 @@ void with_shape(const SweepRow<T>& s, const Body& body) {
 
 template <class T>
 void forward(const SweepRow<T>& s, T* out, std::int32_t* touched) {
-  const Index P = s.H * s.W;
+  const Index P = s.plane;
   for (Index j = 0; j < s.J; ++j) {
     touched[2 * j] = static_cast<std::int32_t>(s.H);
     touched[2 * j + 1] = -1;

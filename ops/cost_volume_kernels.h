@@ -51,6 +51,7 @@ struct SweepRow {
   const T* reference;       ///< [W Cs] the reference's row
   T reference_counts;       ///< 1, or 0 if the variance is over the source views alone
   const T* heights;         ///< row of [D H W]
+  Index plane;              ///< numbers between the planes of what is written forward
   /// Row of [D H W]: the source that looks most like the reference, -1 for none; nullptr where the
   /// best pair is not asked for. Written forward, read backward.
   std::int8_t* best;
@@ -67,8 +68,8 @@ struct SweepRow {
 /// The loops of cost_volume.cpp for one instruction set.
 template <class T>
 struct SweepKernels {
-  /// Writes the row of `out` [C D H W], or [C + kPairChannels D H W] with the best pair; touched[2 j], touched[2 j + 1] become the first and last row
-  /// of source j that was read (H and -1 if none).
+  /// Writes the row of `out`, C x D planes, or C + kPairChannels x D with the best pair; touched[2 j],
+  /// touched[2 j + 1] become the first and last row of source j that was read (H and -1 if none).
   void (*forward)(const SweepRow<T>& s, T* out, std::int32_t* touched);
   /// Adds to the row of `d_reference` [C H W] and to `d_sources`[j], which hold the rows from
   /// first_row[j] on, channels-last; `g` is the row of the upstream gradient [C D H W].

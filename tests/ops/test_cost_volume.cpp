@@ -241,6 +241,30 @@ TEST_CASE("the best pair's gradient") {
     }
 }
 
+TEST_CASE("a plane sweep by rows gives the rows of the volume") {
+  for (const bool best_pair : {false, true}) {
+    const Scene s = scene(3, 6, 4, 11, 70, 1, 8);
+    const auto features = s.features.cast<float>(), heights = s.heights.cast<float>(),
+               valid = s.valid.cast<float>();
+    const SweepOptions options{.include_reference = true, .best_pair = best_pair};
+    const Tensor whole =
+        plane_sweep_variance(Var(features), s.reference, s.maps, heights, valid, options).value();
+    const PlaneSweep<float> sweep(features, s.reference, s.maps, heights, valid, options);
+    REQUIRE(sweep.shape() == whole.shape());
+    const Index planes = whole.dim(0) * 4, W = 70, first = 3, last = 8;
+    Tensor band({planes, last - first + 2, W}, -1.0f);  // a row more on either side stays as it is
+    sweep.rows(first, last, band.data() + W, (last - first + 2) * W);
+    for (Index k = 0; k < planes; ++k)
+      for (Index y = first - 1; y <= last; ++y)
+        for (Index x = 0; x < W; ++x) {
+          const float there = band[(k * (last - first + 2) + y - first + 1) * W + x];
+          REQUIRE(there == (y < first || y == last ? -1.0f : whole[(k * 11 + y) * W + x]));
+        }
+  }
+  CHECK_THROWS_AS(PlaneSweep<float>(Tensor({2, 3, 4, 4}), 2, {}, Tensor({1, 4, 4}), {}),
+                  ShapeError);
+}
+
 TEST_CASE("plane_sweep_variance by hand") {
   // One row of three pixels; view 1 is shifted by half a pixel, view 2 lies outside at the second
   // height.
