@@ -1,17 +1,17 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # What a program meets that is not alone on its machine: limits of file size and of memory, places that cannot be written,
-# signals, clocks that jump. Every command either does its work or says in one line why not, within its limits and within a
+# signals, clocks that jump, the same command at the same moment. Every command either does its work or says in one line why not, within its limits and within a
 # second of a signal, and leaves nothing behind but what the next run goes on with.
 #   neighbours.sh PROGRAM [PART...]
-# PART  files memory readonly signals clocks; without one all of them
+# PART  files memory readonly signals clocks together; without one all of them
 # Needs a C compiler; readonly needs root. Times of signals are those of an idle machine.
 set -uo pipefail
 satsurf=$(realpath "$1")
 here=$(realpath "$(dirname "$0")")
 shift
 parts=("$@")
-[ $# -eq 0 ] && parts=(files memory readonly signals clocks)
+[ $# -eq 0 ] && parts=(files memory readonly signals clocks together)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 cd "$work" || exit 1
@@ -153,6 +153,42 @@ part_clocks() {
     diff -r -x run.json -x report.html -x train.jsonl straight out >output || fail "$name: other results while clocks jumped"
     rm -rf straight
     clear_away
+  done
+}
+
+# Two of them into one place, the second a moment later: one does its work, the other may be refused.
+part_together() {
+  local name later code codes whole left
+  for name in reconstruct tiles train mono simulate; do
+    command_of "$name"
+    "${command[@]}" >output 2>&1 || fail "$name failed"
+    mv out straight
+    clear_away
+    for later in 0 0.02 0.1 0.3; do
+      checks=$((checks + 1))
+      codes=() whole=0
+      "${command[@]}" >output1 2>&1 &
+      sleep $later
+      "${command[@]}" >output2 2>&1
+      codes[2]=$?
+      wait $!
+      codes[1]=$?
+      for code in 1 2; do
+        mv output$code output
+        if [ "${codes[code]}" -eq 0 ]; then
+          whole=$((whole + 1))
+        elif [ "${codes[code]}" -ne 1 ] || [ "$(grep -c '^satsurf: ' output)" -ne 1 ]; then
+          fail "$name beside another, $later s later: number $code ended with ${codes[code]}"
+        fi
+      done
+      [ $whole -ge 1 ] || fail "$name beside another, $later s later: neither did its work"
+      diff -r -x run.json -x report.html -x train.jsonl straight out >output 2>&1 ||
+        fail "$name beside another, $later s later: not the results of one alone"
+      left=$(comm -13 <(sort <<<"$before") <(ls -A | sort) | grep -vxE 'out|straight|output')
+      [ -z "$left" ] || fail "$name beside another, $later s later: left $left"
+      clear_away
+    done
+    rm -rf straight
   done
 }
 
