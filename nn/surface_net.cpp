@@ -34,44 +34,6 @@ double squeezed(double z) { return 0.5 * std::asinh(z); }
 /// mode, then the planes, then where there are surfels.
 constexpr Index kChannels = 2 * kSurfaceCandidates + kSurfacePlanes + 1;
 
-/// The channels of the network, padded with what a hole looks like.
-template <class T>
-BasicTensor<T> channels_of(const SurfaceInput& input) {
-  Dims dim("surface_net");
-  dim.match("candidates", input.candidates, "K H W").match("planes", input.planes, "C H W");
-  const Index H = dim["H"], W = dim["W"], P = H * W;
-  if (dim["K"] != kSurfaceCandidates || dim["C"] != kSurfacePlanes)
-    throw ShapeError("surface_net: candidates have shape " + input.candidates.shape().str() +
-                     " and planes " + input.planes.shape().str() + ", expected " +
-                     std::to_string(kSurfaceCandidates) + " and " + std::to_string(kSurfacePlanes) +
-                     " of them");
-  const auto up = [](Index n) { return (n + kMultiple - 1) / kMultiple * kMultiple; };
-  const Index h = up(H), w = up(W), p = h * w, K = kSurfaceCandidates;
-  constexpr double kGroundUnit = 3;  // m
-  BasicTensor<T> out({1, kChannels, h, w});
-  const float* z = input.candidates.data();
-  const auto of = [](SurfaceCandidate c) { return static_cast<Index>(c); };
-  for_each_index(H, [&](Index i) {
-    for (Index j = 0; j < W; ++j) {
-      const Index from = i * W + j, to = i * w + j;
-      const auto ground = static_cast<double>(z[of(SurfaceCandidate::ground) * P + from]),
-                 mode = static_cast<double>(z[of(SurfaceCandidate::mode) * P + from]);
-      for (Index k = 0; k < K; ++k) {
-        const auto height = static_cast<double>(z[k * P + from]);
-        if (!std::isfinite(height)) continue;
-        if (std::isfinite(ground))
-          out[k * p + to] = static_cast<T>(squeezed((height - ground) / kGroundUnit));
-        if (std::isfinite(mode))
-          out[(K + k) * p + to] = static_cast<T>(squeezed((height - mode) / input.interval));
-      }
-      for (Index c = 0; c < kSurfacePlanes; ++c)
-        out[(2 * K + c) * p + to] = static_cast<T>(input.planes[c * P + from]);
-      out[(kChannels - 1) * p + to] = std::isfinite(mode) ? T{1} : T{0};
-    }
-  });
-  return out;
-}
-
 /// The network's answers for the cells of a surface of H x W.
 /// all  [1 K+2 h w]
 template <class T>
@@ -107,7 +69,39 @@ SurfaceNet<T>::SurfaceNet(ParameterSet<T>& p, const SurfaceConfig& config)
 
 template <class T>
 BasicTensor<T> SurfaceNet<T>::channels(const SurfaceInput& input) {
-  return channels_of<T>(input);
+  Dims dim("surface_net");
+  dim.match("candidates", input.candidates, "K H W").match("planes", input.planes, "C H W");
+  const Index H = dim["H"], W = dim["W"], P = H * W;
+  if (dim["K"] != kSurfaceCandidates || dim["C"] != kSurfacePlanes)
+    throw ShapeError("surface_net: candidates have shape " + input.candidates.shape().str() +
+                     " and planes " + input.planes.shape().str() + ", expected " +
+                     std::to_string(kSurfaceCandidates) + " and " + std::to_string(kSurfacePlanes) +
+                     " of them");
+  const auto up = [](Index n) { return (n + kMultiple - 1) / kMultiple * kMultiple; };
+  const Index h = up(H), w = up(W), p = h * w, K = kSurfaceCandidates;
+  constexpr double kGroundUnit = 3;  // m
+  BasicTensor<T> out({1, kChannels, h, w});
+  const float* z = input.candidates.data();
+  const auto of = [](SurfaceCandidate c) { return static_cast<Index>(c); };
+  for_each_index(H, [&](Index i) {
+    for (Index j = 0; j < W; ++j) {
+      const Index from = i * W + j, to = i * w + j;
+      const auto ground = static_cast<double>(z[of(SurfaceCandidate::ground) * P + from]),
+                 mode = static_cast<double>(z[of(SurfaceCandidate::mode) * P + from]);
+      for (Index k = 0; k < K; ++k) {
+        const auto height = static_cast<double>(z[k * P + from]);
+        if (!std::isfinite(height)) continue;
+        if (std::isfinite(ground))
+          out[k * p + to] = static_cast<T>(squeezed((height - ground) / kGroundUnit));
+        if (std::isfinite(mode))
+          out[(K + k) * p + to] = static_cast<T>(squeezed((height - mode) / input.interval));
+      }
+      for (Index c = 0; c < kSurfacePlanes; ++c)
+        out[(2 * K + c) * p + to] = static_cast<T>(input.planes[c * P + from]);
+      out[(kChannels - 1) * p + to] = std::isfinite(mode) ? T{1} : T{0};
+    }
+  });
+  return out;
 }
 
 template <class T>

@@ -83,7 +83,9 @@ class SurfaceNet {
   /// input   a surface of any size
   /// throws  ShapeError
   SurfaceOutput<T> operator()(const SurfaceInput& input) const;
-  /// What comes before the first convolution, [1 C h w]: h and w are multiples of the coarsest stride.
+  /// What the first convolution reads, [1 C h w]: h and w are multiples of the coarsest stride, and
+  /// beyond the surface there is what a hole looks like.
+  /// throws  ShapeError
   static BasicTensor<T> channels(const SurfaceInput& input);
   /// What comes of it: the logits, the residual and the logarithm of the scale, [1 K+2 h w].
   BasicVar<T> maps(const BasicTensor<T>& channels) const;
