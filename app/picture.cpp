@@ -42,6 +42,45 @@ bool is_truncated_png(const std::filesystem::path& path) {
   return true;
 }
 
+/// A 16-bit number, the larger half first.
+Index number16(const unsigned char* at) { return at[0] << 8 | at[1]; }
+
+struct PictureSize {
+  Index width = 0, height = 0, channels = 0;
+};
+
+/// The size that a JPEG's frame header names (ITU-T T.81 B.2.2), zeros if there is none. libjpeg, told
+/// to open a progressive one, takes memory for all of it before its size can be asked.
+PictureSize jpeg_size(const std::filesystem::path& path) {
+  std::ifstream in(path, std::ios::binary);
+  int byte = in.get();
+  while (in) {
+    if (byte != 0xff) {  // as libjpeg does: what is no marker is passed over
+      byte = in.get();
+      continue;
+    }
+    while (byte == 0xff) byte = in.get();
+    const int marker = byte;
+    byte = in.get();
+    const bool stands_alone = marker <= 0x01 || (marker >= 0xd0 && marker <= 0xd9);
+    if (stands_alone || !in) continue;
+    // What follows the first byte of the length: its second, precision, height, width, channels.
+    std::array<unsigned char, 7> rest{};
+    if (!in.read(reinterpret_cast<char*>(rest.data()), 1)) break;
+    const std::streamoff length = byte << 8 | rest[0];
+    const bool is_frame =
+        marker >= 0xc0 && marker <= 0xcf && marker != 0xc4 && marker != 0xc8 && marker != 0xcc;
+    if (!is_frame) {
+      in.seekg(std::max<std::streamoff>(length - 2, 0), std::ios::cur);
+      byte = in.get();
+      continue;
+    }
+    if (!in.read(reinterpret_cast<char*>(rest.data()) + 1, 6)) break;
+    return {number16(&rest[4]), number16(&rest[2]), rest[6]};
+  }
+  return {};
+}
+
 /// The format of a picture by how the file begins, as the library calls it; empty for others: of the
 /// many that it reads, whoever sends a picture does not choose.
 std::string format_of(const std::filesystem::path& path) {
@@ -72,27 +111,36 @@ Tensor read_picture(const std::filesystem::path& path) {
   const std::string format = format_of(path);
   if (format.empty()) refuse("of another format");
   if (is_truncated_png(path)) refuse("the file ends too early");
+  const std::uintmax_t bytes = std::filesystem::file_size(path, ec);
+  const auto described = [](const PictureSize& of) {
+    return std::to_string(of.width) + " x " + std::to_string(of.height) + " px with " +
+           std::to_string(of.channels) + " channels";
+  };
+  // A flat PNG packs a thousand values into a byte, and only one of a single bit more than these. What
+  // needs little memory is not worth a refusal.
+  const auto check_packing = [&](const PictureSize& of) {
+    constexpr double kLittle = 16e6, kMostPacked = 1e4;
+    const double values = static_cast<double>(of.channels) * static_cast<double>(of.height) *
+                          static_cast<double>(of.width);
+    if (values > kLittle && !ec && values > kMostPacked * static_cast<double>(bytes))
+      refuse(described(of) + " in a file of " + std::to_string(bytes) + " bytes");
+  };
+  if (format == "jpeg") check_packing(jpeg_size(path));
   OIIO::ImageSpec how;
   how.attribute("oiio:UnassociatedAlpha", 1);  // colours as stored, not multiplied by alpha
   const std::unique_ptr<OIIO::ImageInput> in = OIIO::ImageInput::create(format);
   OIIO::ImageSpec spec;
   if (!in || !in->open(where, spec, how)) refuse(told(in ? in->geterror() : OIIO::geterror()));
-  const std::string size_text = std::to_string(spec.width) + " x " + std::to_string(spec.height) +
-                                " px with " + std::to_string(spec.nchannels) + " channels";
+  const PictureSize size{spec.width, spec.height, spec.nchannels};
   if (spec.width < 1 || spec.height < 1 || spec.depth > 1 || spec.nchannels < 1 ||
       spec.nchannels > 4)
-    refuse(size_text);
-  const int read = spec.nchannels < 3 ? 1 : 3;
-  const Index C = read, H = spec.height, W = spec.width;
-  // A flat PNG packs a thousand pixels into a byte. What needs little memory is not worth a refusal.
-  constexpr double kLittle = 16e6, kMostPacked = 1e5;
-  const double values = static_cast<double>(C) * static_cast<double>(H) * static_cast<double>(W);
-  const std::uintmax_t bytes = std::filesystem::file_size(path, ec);
-  if (values > kLittle && !ec && values > kMostPacked * static_cast<double>(bytes))
-    refuse(size_text + " in a file of " + std::to_string(bytes) + " bytes");
-  check_memory(where + ": " + size_text + " need", 2 * sizeof(float) * values, "cut it");
+    refuse(described(size));
+  check_packing(size);
+  const Index C = spec.nchannels < 3 ? 1 : 3, H = spec.height, W = spec.width;
+  check_memory(where + ": " + described(size) + " need",
+               2 * sizeof(float) * static_cast<double>(C * H * W), "cut it");
   std::vector<float> pixels(static_cast<std::size_t>(C * H * W));
-  if (!in->read_image(0, 0, 0, read, OIIO::TypeDesc::FLOAT, pixels.data()))
+  if (!in->read_image(0, 0, 0, static_cast<int>(C), OIIO::TypeDesc::FLOAT, pixels.data()))
     refuse(told(in->geterror()));
 
   auto out = Tensor::uninitialised({C, H, W});

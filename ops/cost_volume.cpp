@@ -74,7 +74,7 @@ class RowWork {
       if (!sweep.valid.empty()) valid_.push_back(sweep.valid.data() + j * P);
     }
     scratch_ = BasicTensor<T>({2 * kSweepTile + sweep.J(), Cs});
-    pair_scratch_ = BasicTensor<T>({kSweepTile * kPairStride + 4 * sweep.J()});
+    pair_scratch_ = BasicTensor<T>({kSweepTile * kPairStride + kDistanceLanes * (sweep.J() + 1)});
     T *tile = scratch_.data(), *pairs = pair_scratch_.data();
     s_ = {sweep.H,
           sweep.W,
@@ -243,7 +243,7 @@ Shape volume_shape(const Sweep<T>& sweep) {
 
 /// Rows first .. last - 1 of the volume.
 /// to, plane  as PlaneSweep::rows
-/// range      [H J 2] takes the source rows that each of these reads
+/// range      [H J 2] takes the source rows that each of these reads, or nullptr
 template <class T>
 void sweep_rows(const Sweep<T>& sweep, const BasicTensor<T>& pixels, Index first, Index last, T* to,
                 Index plane, std::int32_t* range) {
@@ -251,7 +251,8 @@ void sweep_rows(const Sweep<T>& sweep, const BasicTensor<T>& pixels, Index first
   for_range(last - first, 2, [&](Index begin, Index end) {
     RowWork<T> work(sweep, pixels.data(), plane);
     for (Index y = first + begin; y < first + end; ++y)
-      forward(work.at_row(y), to + (y - first) * sweep.W, range + 2 * sweep.J() * y);
+      forward(work.at_row(y), to + (y - first) * sweep.W,
+              range == nullptr ? nullptr : range + 2 * sweep.J() * y);
   });
 }
 
@@ -285,8 +286,7 @@ PlaneSweep<T>::PlaneSweep(const BasicTensor<T>& features, Index reference,
 
 template <class T>
 void PlaneSweep<T>::rows(Index first, Index last, T* to, Index plane) const {
-  std::vector<std::int32_t> range(2 * sweep_->J() * sweep_->H);
-  sweep_rows(*sweep_, pixels_, first, last, to, plane, range.data());
+  sweep_rows(*sweep_, pixels_, first, last, to, plane, nullptr);
 }
 
 template class PlaneSweep<float>;

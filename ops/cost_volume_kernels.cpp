@@ -174,32 +174,44 @@ struct Sampler {
   }
 };
 
-/// Adds the squares of L numbers to four sums, channel c + l to that of (c + l) mod 4.
-template <Index L, class V, class T>
-void add_squares(const V& difference, Index c, T* sums) {
-  T squares[L];
-  store<V>(squares, difference * difference);
-#pragma GCC unroll 16
-  for (Index l = 0; l < L; ++l) sums[(L >= 4 ? l : c + l) & 3] += squares[l];
+/// Numbers in which the squares of L channels read together are summed; number l has those of the
+/// channels that are l modulo 4.
+template <Index L>
+constexpr Index kSums = L < 4 ? 4 : L;
+
+/// Four sums of L or more by their index modulo 4.
+template <Index L, class T>
+Channels<T, 4> quarters(const T* sums) {
+  using Quad = Channels<T, 4>;
+  auto total = load<Quad>(sums);
+#pragma GCC unroll 4
+  for (Index l = 4; l < kSums<L>; l += 4) total += load<Quad>(sums + l);
+  return total;
 }
 
-/// The best pair's channels of pixel i at hypothesis d from the distances to all sources.
-template <class T>
-void choose_pair(const SweepRow<T>& s, Index J, const T* distances, Index i, std::int8_t& best) {
+/// The best pair's channels of pixel i at hypothesis d. Which source is the best changes from pixel
+/// to pixel as noise does, so nothing here branches on it.
+/// distances  [J kSums<L>] to all sources, and room for one more; overwritten
+/// unit       what a distance counts
+template <class T, Index L>
+void choose_pair(const SweepRow<T>& s, Index J, T unit, T* distances, Index i, std::int8_t& best) {
+  using Quad = Channels<T, 4>;
+  Index chosen = J;  // the row of zeros behind the sources
   T least = 0, counted = 0;
-  best = -1;
   for (Index j = 0; j < J; ++j) {
-    if (s.taps[j].counts[i] == 0) continue;
-    counted += 1;
-    const T* d = distances + 4 * j;
-    const T total = (d[0] + d[1]) + (d[2] + d[3]);
-    if (best >= 0 && !(total < least)) continue;
-    least = total;
-    best = static_cast<std::int8_t>(j);
+    const Quad d = quarters<L>(distances + kSums<L> * j);
+    store(distances + 4 * j, d);
+    const T counts = s.taps[j].counts[i], total = (d[0] + d[1]) + (d[2] + d[3]);
+    counted += counts;
+    const bool better = static_cast<int>(counts != 0) &
+                        (static_cast<int>(chosen == J) | static_cast<int>(total < least));
+    least = better ? total : least;
+    chosen = better ? j : chosen;
   }
+  fill_zero(distances + 4 * J, 4);
+  best = static_cast<std::int8_t>(chosen == J ? -1 : chosen);
   T* to = s.pair_tile + i * kPairStride;
-  const T unit = T(4) / static_cast<T>(s.C);
-  for (Index k = 0; k < 4; ++k) to[k] = best < 0 ? T(0) : distances[4 * best + k] * unit;
+  store<Quad>(to, load<Quad>(distances + 4 * chosen) * unit);
   to[4] = counted / static_cast<T>(J);
 }
 
@@ -209,10 +221,13 @@ void forward_tile(const SweepRow<T>& s, Index begin, Index n, Index d) {
   const Sampler<T, L, kJ> sampler{s};
   V local[kJ > 0 ? kJ : 1];
   V* f = kJ > 0 ? local : reinterpret_cast<V*>(s.samples);
+  T local_distances[(kJ + 1) * kSums<L>];
+  T* distances = kJ > 0 ? local_distances : s.distances;
+  const T unit = T(4) / static_cast<T>(s.C);
   for (Index i = 0; i < n; ++i) {
     T* to = s.tile + i * s.Cs;
     const T share = sampler.share(i);
-    if constexpr (kPairs) fill_zero(s.distances, 4 * sampler.J);
+    if constexpr (kPairs) fill_zero(distances, kSums<L> * sampler.J);
     if (share == 0 && !kPairs) {
       fill_zero(to, s.Cs);
       continue;
@@ -225,10 +240,11 @@ void forward_tile(const SweepRow<T>& s, Index begin, Index n, Index d) {
         total += (f[j] - mean) * (f[j] - mean) * s.taps[j].counts[i];
       store<V>(to + c, total * share);
       if constexpr (kPairs)
-        for (Index j = 0; j < sampler.J; ++j) add_squares<L>(V(own - f[j]), c, s.distances + 4 * j);
+        for (Index j = 0; j < sampler.J; ++j)
+          add_to<V>(distances + kSums<L> * j + (L < 4 ? c % 4 : 0), (own - f[j]) * (own - f[j]));
     }
     if constexpr (kPairs)
-      choose_pair(s, sampler.J, s.distances, i, s.best[d * s.H * s.W + begin + i]);
+      choose_pair<T, L>(s, sampler.J, unit, distances, i, s.best[d * s.H * s.W + begin + i]);
   }
 }
 
@@ -303,30 +319,45 @@ void with_shape(const SweepRow<T>& s, const Body& body) {
     with_sources<T, false>(s, body);
 }
 
+/// SweepKernels::forward's `touched` before the first samples, of those of n pixels, after the last.
 template <class T>
-void forward(const SweepRow<T>& s, T* out, std::int32_t* touched) {
-  const Index P = s.plane;
+void begin_touched(const SweepRow<T>& s, std::int32_t* touched) {
   for (Index j = 0; j < s.J; ++j) {
     touched[2 * j] = static_cast<std::int32_t>(s.H);
     touched[2 * j + 1] = -1;
   }
+}
+template <class T>
+void add_touched(const SweepRow<T>& s, Index n, std::int32_t* touched) {
+  for (Index j = 0; j < s.J; ++j) {
+    std::int32_t low = touched[2 * j], high = touched[2 * j + 1];
+    const SweepTaps<T>& t = s.taps[j];
+    for (Index i = 0; i < n; ++i) {
+      const std::int32_t first = t.counts[i] != 0 ? t.y[i] : low;
+      const std::int32_t last = t.counts[i] != 0 ? t.y[i] : high;
+      low = first < low ? first : low;
+      high = last > high ? last : high;
+    }
+    touched[2 * j] = low;
+    touched[2 * j + 1] = high;
+  }
+}
+template <class T>
+void end_touched(const SweepRow<T>& s, std::int32_t* touched) {
+  for (Index j = 0; j < s.J; ++j)  // the lower neighbours
+    if (touched[2 * j + 1] >= 0 && s.H > 1) ++touched[2 * j + 1];
+}
+
+template <class T>
+void forward(const SweepRow<T>& s, T* out, std::int32_t* touched) {
+  const Index P = s.plane;
+  if (touched != nullptr) begin_touched(s, touched);
   for (Index begin = 0; begin < s.W; begin += kSweepTile) {
     const Index n = s.W - begin < kSweepTile ? s.W - begin : kSweepTile;
     for (Index j = 0; j < s.J; ++j) make_lines(s.maps[j], begin, n, s.lines[j]);
     for (Index d = 0; d < s.D; ++d) {
       make_all_taps(s, begin, n, d);
-      for (Index j = 0; j < s.J; ++j) {
-        std::int32_t low = touched[2 * j], high = touched[2 * j + 1];
-        const SweepTaps<T>& t = s.taps[j];
-        for (Index i = 0; i < n; ++i) {
-          const std::int32_t first = t.counts[i] != 0 ? t.y[i] : low;
-          const std::int32_t last = t.counts[i] != 0 ? t.y[i] : high;
-          low = first < low ? first : low;
-          high = last > high ? last : high;
-        }
-        touched[2 * j] = low;
-        touched[2 * j + 1] = high;
-      }
+      if (touched != nullptr) add_touched(s, n, touched);
       with_shape(s, [&]<Index L, Index kJ, bool kPairs>() {
         forward_tile<T, L, kJ, kPairs>(s, begin, n, d);
       });
@@ -336,8 +367,7 @@ void forward(const SweepRow<T>& s, T* out, std::int32_t* touched) {
                               out + (s.C * s.D + d) * P + begin, s.D * P);
     }
   }
-  for (Index j = 0; j < s.J; ++j)  // the lower neighbours
-    if (touched[2 * j + 1] >= 0 && s.H > 1) ++touched[2 * j + 1];
+  if (touched != nullptr) end_touched(s, touched);
 }
 
 template <class T>

@@ -40,6 +40,8 @@ struct SweepTaps {
 
 /// Pixels of the best pair's channels in a tile; the last are not used.
 inline constexpr Index kPairStride = 8;
+/// Numbers in which the distance to one source is summed, at most: the channels read together.
+inline constexpr Index kDistanceLanes = 16;
 
 /// One reference row: what is read, and scratch.
 template <class T>
@@ -62,14 +64,15 @@ struct SweepRow {
   T* reference_tile;     ///< [kSweepTile Cs], backward only
   T* samples;            ///< [J Cs]
   T* pair_tile;          ///< [kSweepTile kPairStride]
-  T* distances;          ///< [J 4] of one pixel
+  T* distances;          ///< [J + 1 kDistanceLanes] of one pixel
 };
 
 /// The loops of cost_volume.cpp for one instruction set.
 template <class T>
 struct SweepKernels {
   /// Writes the row of `out`, C x D planes, or C + kPairChannels x D with the best pair; touched[2 j],
-  /// touched[2 j + 1] become the first and last row of source j that was read (H and -1 if none).
+  /// touched[2 j + 1] become the first and last row of source j that was read (H and -1 if none),
+  /// unless `touched` is nullptr.
   void (*forward)(const SweepRow<T>& s, T* out, std::int32_t* touched);
   /// Adds to the row of `d_reference` [C H W] and to `d_sources`[j], which hold the rows from
   /// first_row[j] on, channels-last; `g` is the row of the upstream gradient [C D H W].

@@ -165,6 +165,20 @@ TEST_CASE("read_picture") {
     test::write_bytes(folder / "huge.png", huge);
     CHECK(refusal("huge.png")
               .starts_with(at + "huge.png: 30000 x 30000 px with 3 channels in a file"));
+    // A progressive JPEG of 258 bytes, for which libjpeg would take 450 MB while it is opened; what
+    // stands before the frame header is a segment, a stuffed zero and fill bytes.
+    const std::string frame(
+        "\xff\xc2\0\x11\x08\x73\x72\x77\x08\x03\x01\x22\0\x02\x11\x01\x03\x11\x01", 19);
+    const std::string jpeg =
+        std::string("\xff\xd8\xff\xe0\0\x04\xff\xc2\xff\0\xff\xff", 12) + frame;
+    test::write_bytes(folder / "huge.jpg", jpeg + std::string(227, '\0'));
+    CHECK(refusal("huge.jpg") ==
+          at + "huge.jpg: 30472 x 29554 px with 3 channels in a file of 258 bytes, "
+               "expected a PNG, JPEG or TIFF picture");
+    for (std::size_t i = 2; i <= jpeg.size(); ++i) {  // cut anywhere it is refused as well
+      test::write_bytes(folder / "stump.jpg", jpeg.substr(0, i));
+      CHECK(refusal("stump.jpg").starts_with(at + "stump.jpg: "));
+    }
     test::write_bytes(folder / "movie.png", "GIF89a" + std::string(100, '\0'));
     CHECK(refusal("movie.png") ==
           at + "movie.png: of another format, expected a PNG, JPEG or TIFF picture");
