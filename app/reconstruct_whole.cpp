@@ -18,6 +18,7 @@
 #include <cmath>
 #include <cstdio>
 #include <functional>
+#include <future>
 #include <string>
 #include <utility>
 #include <vector>
@@ -196,7 +197,9 @@ void reconstruct_whole(ReconstructJob& job) {
 
   progress.update("write", 0);
   const reconstruct::Visibility visibility = reconstruct::find_visibility(made.dsm, made.images);
-  write_surface(folder.path(), made, scene, visibility, options.max_surfels, facts.datum);
+  std::future<void> surfels =
+      write_surfels(folder / "surfels.ply", made, scene.frame, options.max_surfels);
+  write_rasters(folder.path(), made, scene, visibility, facts.datum);
   if (user.pointing) scene::write_pointing(folder / "pointing.json", *user.pointing);
   stop_if_interrupted();
   job.warnings.attempt("orthophoto", [&] {
@@ -218,6 +221,7 @@ void reconstruct_whole(ReconstructJob& job) {
     progress.update("mesh", 1);
     stop_if_interrupted();
   }
+  surfels.get();
   job.record.results() = results_json(facts, user);
   job.record.results()["memory_by_part"] = memory_by_part(made);
   if (options.report == ReportKind::html)

@@ -76,9 +76,9 @@ void keep_off_nodata(Tensor& picture, const rpc::GeoTags& tags) {
   for (float& v : picture.values()) v = std::max(v, 1.0F);  // the darkest pixels become 1
 }
 
-void write_surface(const fs::path& folder, const reconstruct::Reconstruction& made,
+void write_rasters(const fs::path& folder, const reconstruct::Reconstruction& made,
                    const scene::Scene& scene, const reconstruct::Visibility& visibility,
-                   Index most_surfels, rpc::HeightDatum datum) {
+                   rpc::HeightDatum datum) {
   const rpc::LocalFrame& frame = scene.frame;
   const SurfaceTags tags = surface_tags(scene, datum);
   Tensor heights = made.dsm.z.clone();
@@ -88,20 +88,26 @@ void write_surface(const fs::path& folder, const reconstruct::Reconstruction& ma
                           const rpc::GeoTags& of) {
     if (!values.empty()) write_field(folder / name, values, made.dsm, frame, offset, of);
   };
-  // Each is packed or formatted by one thread; the longest comes first.
-  const std::array<std::function<void()>, 5> files{
-      [&] {
-        splat::write_ply(
-            folder / "surfels.ply",
-            most_surfels > 0 ? splat::thinned(made.surfels, most_surfels) : made.surfels,
-            frame_comments(frame));
-      },
+  // Each is packed by one thread; the longest comes first.
+  const std::array<std::function<void()>, 4> files{
       [&] { raster("dsm.tif", heights, frame.h0, tags.heights); },
       [&] { raster("confidence.tif", made.confidence, 0, tags.confidence); },
       [&] { raster("height_sigma.tif", made.sigma, 0, tags.sigma); },
       [&] { raster("views.tif", visibility.views, 0, tags.views); }};
   for_each_index(static_cast<Index>(files.size()),
                  [&](Index i) { files[static_cast<std::size_t>(i)](); });
+}
+
+std::future<void> write_surfels(const fs::path& file, const reconstruct::Reconstruction& made,
+                                const rpc::LocalFrame& frame, Index most_surfels) {
+  return std::async(threads() > 1 ? std::launch::async : std::launch::deferred,
+                    [&made, file, comments = frame_comments(frame), most_surfels] {
+                      const OnOneThread alone;
+                      splat::write_ply(file,
+                                       most_surfels > 0 ? splat::thinned(made.surfels, most_surfels)
+                                                        : made.surfels,
+                                       comments);
+                    });
 }
 
 void write_ortho(const fs::path& file, const reconstruct::Reconstruction& made,

@@ -10,6 +10,7 @@
 #include <array>
 #include <filesystem>
 #include <functional>
+#include <future>
 #include <vector>
 
 namespace satsurf::app {
@@ -24,14 +25,22 @@ SurfaceTags surface_tags(const scene::Scene& scene, rpc::HeightDatum datum);
 /// tags  of the file
 void keep_off_nodata(Tensor& picture, const rpc::GeoTags& tags);
 
-/// Writes dsm.tif, confidence.tif, views.tif and surfels.ply.
-/// folder        to write into
-/// most_surfels  that the file may hold, 0 for all; the surface itself is made of all
-/// datum         of the heights in dsm.tif
-/// throws        IoError
-void write_surface(const std::filesystem::path& folder, const reconstruct::Reconstruction& made,
+/// Writes dsm.tif, confidence.tif, views.tif and, where errors are expected, height_sigma.tif.
+/// folder  to write into
+/// datum   of the heights in dsm.tif
+/// throws  IoError
+void write_rasters(const std::filesystem::path& folder, const reconstruct::Reconstruction& made,
                    const scene::Scene& scene, const reconstruct::Visibility& visibility,
-                   Index most_surfels, rpc::HeightDatum datum);
+                   rpc::HeightDatum datum);
+
+/// Writes the surfels on one thread, from now on or, where there is only one, when it is waited for:
+/// the largest file of all, which mostly waits for the disk.
+/// made          must outlive what is returned
+/// most_surfels  that the file may hold, 0 for all
+/// returns       ends when they are on the disk; `get` throws IoError
+std::future<void> write_surfels(const std::filesystem::path& file,
+                                const reconstruct::Reconstruction& made,
+                                const rpc::LocalFrame& frame, Index most_surfels);
 
 /// Writes ortho.tif. The images are read once more, for the values as they are stored.
 /// image_dirs  where else to look for the images JSON files name

@@ -64,10 +64,10 @@ int write_all(int fd, std::string_view bytes) {
 
 /// Writes pieces one after the other, small ones together: weights have hundreds of tensors.
 /// returns  0, or the error's number
-int write_pieces(int fd, std::span<const std::string_view> pieces) {
+int write_pieces(int fd, const std::function<std::string_view()>& next) {
   constexpr std::size_t kTogether = std::size_t{1} << 20;  // bytes
   std::string small;
-  for (const std::string_view piece : pieces) {
+  for (std::string_view piece = next(); !piece.empty(); piece = next()) {
     if (small.size() + piece.size() > kTogether) {
       if (const int code = write_all(fd, small)) return code;
       small.clear();
@@ -83,6 +83,15 @@ int write_pieces(int fd, std::span<const std::string_view> pieces) {
 }  // namespace
 
 void atomic_write(const std::filesystem::path& path, std::span<const std::string_view> pieces) {
+  std::size_t at = 0;
+  atomic_write(path, [&]() -> std::string_view {
+    while (at < pieces.size() && pieces[at].empty()) ++at;
+    return at < pieces.size() ? pieces[at++] : std::string_view();
+  });
+}
+
+void atomic_write(const std::filesystem::path& path,
+                  const std::function<std::string_view()>& next) {
   static std::atomic<unsigned> number{0};  // two threads may write the same file
   const std::filesystem::path folder = path.has_parent_path() ? path.parent_path() : ".";
   std::error_code ec;
@@ -95,7 +104,14 @@ void atomic_write(const std::filesystem::path& path, std::span<const std::string
   const int fd = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
   if (fd < 0) fail(path, "be created", errno);
   ::flock(fd, LOCK_EX | LOCK_NB);  // tells `remove_partial_files` that its writer lives
-  int code = write_pieces(fd, pieces);
+  int code = 0;
+  try {
+    code = write_pieces(fd, next);
+  } catch (...) {
+    ::close(fd);
+    ::unlink(temporary.c_str());
+    throw;
+  }
   if (code == 0 && ::fsync(fd) != 0) code = errno;
   if (::close(fd) != 0 && code == 0) code = errno;
   if (code == 0 && ::rename(temporary.c_str(), path.c_str()) != 0) code = errno;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <span>
 #include <string_view>
 #include <vector>
@@ -14,6 +15,10 @@ namespace satsurf {
 /// pieces  its bytes, in order
 /// throws  IoError that names the file and the system's reason; no temporary file is left
 void atomic_write(const std::filesystem::path& path, std::span<const std::string_view> pieces);
+/// The same for pieces that are made one after the other.
+/// next    returns the next piece, which must live until the next call; an empty one is the end.
+///         What it throws is passed on, without a file
+void atomic_write(const std::filesystem::path& path, const std::function<std::string_view()>& next);
 /// The same for one piece.
 inline void atomic_write(const std::filesystem::path& path, std::string_view bytes) {
   atomic_write(path, std::span(&bytes, 1));

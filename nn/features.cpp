@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/features.h"
 
+#include "satsurf/core/parallel.h"
 #include "satsurf/ops/concat.h"
 
+#include <algorithm>
 #include <span>
 #include <utility>
 #include <vector>
@@ -17,9 +19,14 @@ BasicTensor<T> stacked(const std::vector<PosedImage>& views, const Tensor PosedI
   std::vector<Index> extents{static_cast<Index>(views.size())};
   extents.insert(extents.end(), one.extents().begin(), one.extents().end());
   auto out = BasicTensor<T>::uninitialised(Shape(std::span<const Index>(extents)));
-  for (std::size_t n = 0; n < views.size(); ++n)
-    for (Index i = 0; i < one.count(); ++i)
-      out[static_cast<Index>(n) * one.count() + i] = static_cast<T>((views[n].*member)[i]);
+  constexpr Index kGrain = 1 << 16;
+  const Index count = one.count();
+  for (std::size_t n = 0; n < views.size(); ++n) {
+    const float* const from = (views[n].*member).data();
+    T* const to = out.data() + static_cast<Index>(n) * count;
+    for_range(count, kGrain,
+              [&](Index begin, Index end) { std::copy(from + begin, from + end, to + begin); });
+  }
   return out;
 }
 

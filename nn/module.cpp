@@ -52,7 +52,7 @@ BasicVar<T> ParameterSet<T>::create(const std::string& name, const Shape& shape,
     if (e.name == name) throw Error("ParameterSet: parameter " + name + " exists already");
   if (limit != nullptr) limit->count(shape);
   BasicTensor<T> value(shape, static_cast<T>(init.value));
-  if (init.kind == Init::Kind::kaiming) {
+  if (init.kind == Init::Kind::kaiming && limit == nullptr) {
     Rng rng(seed_, hash_of(name));
     const double sigma = std::sqrt(2.0 / static_cast<double>(init.fan_in));
     for (T& v : value.values()) v = static_cast<T>(sigma * rng.normal());

@@ -7,8 +7,9 @@
 
 namespace satsurf::nn {
 
-/// While one lives, this thread refuses to make more parameters than `most`: a file of some hundred
-/// bytes may name a configuration of a gigabyte.
+/// While one lives, this thread makes networks whose parameters are then taken from elsewhere: it
+/// refuses to make more than `most`, as a file of some hundred bytes may name a configuration of a
+/// gigabyte, and leaves those zero that would be random, as drawing them takes longer than reading.
 class ParameterLimit {
  public:
   /// most   numbers in all

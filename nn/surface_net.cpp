@@ -4,6 +4,7 @@
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/symmetry.h"
+#include "satsurf/nn/parameter_limit.h"
 #include "satsurf/ops/candidates.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/elementwise.h"
@@ -128,7 +129,10 @@ SurfaceOutput<T> SurfaceNet<T>::operator()(const SurfaceInput& input) const {
 }
 
 SurfaceModel turned(const SurfaceModel& network, Index symmetry) {
-  SurfaceModel out(network.config(), 0);
+  SurfaceModel out = [&] {
+    const ParameterLimit limit(network.parameters().count(), "turned");
+    return SurfaceModel(network.config(), 0);
+  }();
   for (std::size_t i = 0; i < out.parameters().entries().size(); ++i) {
     const Tensor& from = network.parameters().entries()[i].var.value();
     Var to = out.parameters().entries()[i].var;
@@ -170,15 +174,17 @@ RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
   const Index P = surface.heights.count();
   // A Laplace distribution of mean error b has 68.3 % of its mass within 1.148 b.
   constexpr double kSigma = 1.148;
-  for (Index i = 0; i < P; ++i) {
-    const bool any = has_candidate(input.candidates, i);
-    surface.sigma[i] =
-        any ? static_cast<float>(
-                  kSigma *
-                  laplace_scale(static_cast<double>(out.log_scale.value()[i]), input.interval))
-            : std::nanf("");
-    if (!any) surface.heights[i] = std::nanf("");
-  }
+  const Tensor& scales = out.log_scale.value();
+  for_range(P, 1 << 14, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) {
+      const bool any = has_candidate(input.candidates, i);
+      surface.sigma[i] =
+          any ? static_cast<float>(kSigma *
+                                   laplace_scale(static_cast<double>(scales[i]), input.interval))
+              : std::nanf("");
+      if (!any) surface.heights[i] = std::nanf("");
+    }
+  });
   return surface;
 }
 

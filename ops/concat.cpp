@@ -22,12 +22,18 @@ Runs runs_of(const Shape& whole, Index axis, Index begin, Index extent) {
   return {whole.count(0, axis), extent * inner, whole[axis] * inner, begin * inner};
 }
 
+/// Calls body(there, here, n) for pieces of all runs: n elements from `there` on in the larger tensor
+/// and from `here` on in that of the stretch alone.
 template <class Body>
 void each_run(const Runs& r, const Body& body) {
-  for_range(r.outer, std::max<Index>(1, kGrain / std::max<Index>(1, r.run)),
-            [&](Index begin, Index end) {
-              for (Index o = begin; o < end; ++o) body(r.begin + o * r.stride, o * r.run);
-            });
+  if (r.run == 0) return;
+  for_range(r.outer * r.run, kGrain, [&](Index begin, Index end) {
+    for (Index here = begin; here < end;) {
+      const Index o = here / r.run, n = std::min(end, (o + 1) * r.run) - here;
+      body(r.begin + o * r.stride + here - o * r.run, here, n);
+      here += n;
+    }
+  });
 }
 
 /// Adds the stretch's gradient g, a tensor of its own, to the gradient of the whole, or stores it
@@ -36,8 +42,8 @@ template <class T>
 void put_runs(const Runs& r, const T* g, const GradientTarget<T>& target) {
   T* d = target.data;
   if (target.accumulate)
-    each_run(r, [&](Index to, Index from) {
-      for (Index i = 0; i < r.run; ++i) d[to + i] += g[from + i];
+    each_run(r, [&](Index to, Index from, Index count) {
+      for (Index i = 0; i < count; ++i) d[to + i] += g[from + i];
     });
   else
     for_range(r.outer, std::max<Index>(1, kGrain / std::max<Index>(1, r.stride)),
@@ -80,7 +86,7 @@ BasicVar<T> concat(const std::vector<BasicVar<T>>& parts, Index axis) {
     const Runs r = runs_of(shape, axis, begin, p.dim(axis));
     const T* x = p.value().data();
     T* y = out.data();
-    each_run(r, [&](Index to, Index from) { std::copy_n(x + from, r.run, y + to); });
+    each_run(r, [&](Index to, Index from, Index count) { std::copy_n(x + from, count, y + to); });
     begin += p.dim(axis);
   }
   return BasicVar<T>::record("concat", out, parts, [axis](Node<T>& n) {
@@ -90,9 +96,9 @@ BasicVar<T> concat(const std::vector<BasicVar<T>>& parts, Index axis) {
       const Index e = n.inputs[k]->value.dim(axis);
       if (const GradientTarget<T> d = n.grad_out(k)) {
         const Runs r = runs_of(n.value.shape(), axis, offset, e);
-        each_run(r, [&](Index from, Index to) {
-          if (!d.accumulate) return void(std::copy_n(g + from, r.run, d.data + to));
-          for (Index i = 0; i < r.run; ++i) d.data[to + i] += g[from + i];
+        each_run(r, [&](Index from, Index to, Index count) {
+          if (!d.accumulate) return void(std::copy_n(g + from, count, d.data + to));
+          for (Index i = 0; i < count; ++i) d.data[to + i] += g[from + i];
         });
       }
       offset += e;
@@ -111,7 +117,7 @@ BasicVar<T> slice(const BasicVar<T>& x, Index axis, Index begin, Index end) {
   auto out = BasicTensor<T>::uninitialised(x.shape().with(axis, end - begin));
   const T* px = x.value().data();
   T* y = out.data();
-  each_run(r, [&](Index from, Index to) { std::copy_n(px + from, r.run, y + to); });
+  each_run(r, [&](Index from, Index to, Index count) { std::copy_n(px + from, count, y + to); });
   return BasicVar<T>::record("slice", out, {x}, [r](Node<T>& n) {
     if (const GradientTarget<T> d = n.grad_out(0)) put_runs(r, n.grad.data(), d);
   });

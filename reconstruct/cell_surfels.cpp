@@ -19,20 +19,28 @@ SurfelCells::SurfelCells(const Tensor& means, const Tensor& confidence,
       cell_[static_cast<std::size_t>(k)] =
           cell_of(static_cast<double>(means[3 * k]), static_cast<double>(means[3 * k + 1]));
   });
-  for (const Index cell : cell_)
-    if (cell >= 0) ++first_[static_cast<std::size_t>(cell) + 1];
+  // Every band of cells looks through all surfels for its own: reading is little beside what is
+  // written all over memory.
+  const Index cells = grid.height * grid.width, bands = std::clamp<Index>(P / kGrain, 1, threads());
+  const auto in_bands = [&](const auto& visit) {
+    for_each_index(bands, [&](Index b) {
+      const Index low = b * cells / bands, high = (b + 1) * cells / bands;
+      for (Index k = 0; k < P; ++k)
+        if (const Index cell = cell_[static_cast<std::size_t>(k)]; cell >= low && cell < high)
+          visit(k, static_cast<std::size_t>(cell));
+    });
+  };
+  in_bands([&](Index, std::size_t cell) { ++first_[cell + 1]; });
   for (std::size_t c = 1; c < first_.size(); ++c) first_[c] += first_[c - 1];
   std::vector<Index> next(first_.begin(), first_.end() - 1);
   surfels_.resize(static_cast<std::size_t>(first_.back()));
   place_.assign(static_cast<std::size_t>(P), -1);
-  for (Index k = 0; k < P; ++k) {
-    const Index cell = cell_[static_cast<std::size_t>(k)];
-    if (cell < 0) continue;
-    const Index at = next[static_cast<std::size_t>(cell)]++;
+  in_bands([&](Index k, std::size_t cell) {
+    const Index at = next[cell]++;
     place_[static_cast<std::size_t>(k)] = at;
     surfels_[static_cast<std::size_t>(at)] = {means[3 * k], means[3 * k + 1], means[3 * k + 2],
                                               evidence.weight[k], confidence[k]};
-  }
+  });
 }
 
 Index SurfelCells::cell_of(double x, double y) const {

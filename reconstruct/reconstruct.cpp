@@ -6,6 +6,7 @@
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/reconstruct/cast.h"
+#include "satsurf/reconstruct/cell_count.h"
 #include "satsurf/reconstruct/fusion.h"
 #include "satsurf/reconstruct/narrow.h"
 #include "satsurf/reconstruct/surface_input.h"
@@ -132,22 +133,9 @@ FusedSurface splatted(const splat::Surfels& surfels, const ReconstructPlan& plan
 /// unwanted  [H W] 1 where cells are not counted, or empty
 void keep_surface(Reconstruction& out, FusedSurface surface, const scene::Scene& scene,
                   const ReconstructPlan& plan, const Tensor& unwanted) {
-  const Index W = plan.width, H = plan.height;
   out.dsm = {std::move(surface.heights), plan.east, plan.north, plan.step};
   out.confidence = std::move(surface.confidence);
-  Index found = 0, expected = 0;
-  for (Index i = 0; i < H * W; ++i) {
-    if (!unwanted.empty() && unwanted[i] > 0) continue;
-    if (std::isfinite(out.dsm.z[i])) {
-      ++found;
-      ++expected;
-      continue;
-    }
-    const double x = plan.east + (static_cast<double>(i % W) + 0.5) * plan.step,
-                 y = plan.north - (static_cast<double>(i / W) + 0.5) * plan.step;
-    expected += views_showing(scene, {x, y, scene.z_range.middle()}) >= 2 ? 1 : 0;
-  }
-  out.completeness = expected > 0 ? static_cast<double>(found) / static_cast<double>(expected) : 0;
+  out.completeness = count_cells(out.dsm, out.images, scene.z_range.middle(), unwanted).share();
 }
 
 /// Forgets the surface and the surfels of unwanted cells.

@@ -27,9 +27,11 @@ RenderedView rendered_view(const splat::Surfels& surfels, const nn::PosedImage& 
   // confidence by what stops the light there: thin surfaces are doubtful ones
   out.heights.confidence = render.aux.value().reshaped({H, W});
   out.heights.rgb = image.rgb.clone();
-  for (Index p = 0; p < H * W; ++p)
-    for (Index c = 0; c < 3; ++c)
-      if (!(image.valid[p] > 0)) out.heights.rgb[c * H * W + p] = kNan;
+  for_each_index(H, [&](Index y) {
+    for (Index p = y * W; p < (y + 1) * W; ++p)
+      for (Index c = 0; c < 3; ++c)
+        if (!(image.valid[p] > 0)) out.heights.rgb[c * H * W + p] = kNan;
+  });
   return out;
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/reconstruct/tile.h"
 
+#include "satsurf/reconstruct/cell_count.h"
 #include "satsurf/reconstruct/narrow.h"
 #include "satsurf/reconstruct/ortho.h"
 #include "satsurf/splat/select.h"
@@ -82,18 +83,10 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
               w = core.width;
   out.views = part_of(seen.views, y0, x0, h, w);
   if (!ortho.empty()) out.ortho = part_of(ortho, y0, x0, h, w);
-  const Tensor heights = part_of(made.dsm.z, y0, x0, h, w);
-  for (Index i = 0; i < heights.count(); ++i) {
-    if (!unwanted.empty() && unwanted[i] > 0) continue;
-    const bool has = std::isfinite(heights[i]);
-    out.found += has ? 1 : 0;
-    out.expected +=
-        has || views_showing(scene, {core.east + (static_cast<double>(i % w) + 0.5) * core.step,
-                                     core.north - (static_cast<double>(i / w) + 0.5) * core.step,
-                                     scene.z_range.middle()}) >= 2
-            ? 1
-            : 0;
-  }
+  const CellCount cells =
+      count_cells({part_of(made.dsm.z, y0, x0, h, w), core.east, core.north, core.step},
+                  made.images, scene.z_range.middle(), unwanted);
+  out.found = cells.found, out.expected = cells.expected;
   out.surfels = over(made.surfels, core.ground());
   out.heights = std::move(made.dsm.z);
   out.confidence = std::move(made.confidence);

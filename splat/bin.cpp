@@ -3,7 +3,10 @@
 
 #include "satsurf/core/parallel.h"
 
+#include <array>
 #include <bit>
+#include <memory>
+#include <numeric>
 #include <type_traits>
 
 namespace satsurf::splat {
@@ -65,29 +68,50 @@ std::vector<std::int32_t> front_to_back(const std::vector<Box>& boxes, const T* 
     Key key;
     std::int32_t surfel;
   };
-  std::vector<Item> items, sorted;
-  items.reserve(boxes.size());
-  for (std::size_t i = 0; i < boxes.size(); ++i)
-    if (boxes[i].x1 >= boxes[i].x0)
-      items.push_back({descending_key(heights[i * stride]), static_cast<std::int32_t>(i)});
+  // The surfels that show, each piece behind those of the pieces before.
+  const Index P = std::ssize(boxes), pieces = (P + kPiece - 1) / kPiece;
+  const auto shows = [&](Index i) { return boxes[i].x1 >= boxes[i].x0; };
+  std::vector<Index> first(pieces + 1);
+  for_range(P, kPiece, [&](Index begin, Index end) {
+    Index count = 0;
+    for (Index i = begin; i < end; ++i) count += shows(i) ? 1 : 0;
+    first[begin / kPiece + 1] = count;
+  });
+  std::partial_sum(first.begin(), first.end(), first.begin());
+  const Index n = first.back();
+  auto items = std::make_unique_for_overwrite<Item[]>(n),
+       sorted = std::make_unique_for_overwrite<Item[]>(n);
+  std::vector<std::array<Key, 2>> any_all(pieces, {Key{0}, static_cast<Key>(~Key{0})});
+  for_range(P, kPiece, [&](Index begin, Index end) {
+    auto& [any, all] = any_all[begin / kPiece];
+    Index at = first[begin / kPiece];
+    for (Index i = begin; i < end; ++i) {
+      if (!shows(i)) continue;
+      const Key key = descending_key(heights[i * stride]);
+      any |= key, all &= key;
+      items[at++] = {key, static_cast<std::int32_t>(i)};
+    }
+  });
+  Key any = 0, all = static_cast<Key>(~Key{0});
+  for (const auto& piece : any_all) any |= piece[0], all &= piece[1];
 
   // Least significant digit first; bits in which all keys agree need no pass.
-  Key differ = 0;
-  for (const Item& item : items) differ |= item.key ^ items.front().key;
+  const Key differ = any & static_cast<Key>(~all);
   constexpr int kDigit = 11;
-  sorted.resize(items.size());
   for (int shift = 0; shift < static_cast<int>(8 * sizeof(Key)) && (differ >> shift) != 0;
        shift += kDigit) {
     constexpr Key kMask = (Key{1} << kDigit) - 1;
     if (((differ >> shift) & kMask) == 0) continue;
     counting_sort(
-        std::ssize(items), Index{1} << kDigit,
+        n, Index{1} << kDigit,
         [&](Index i, auto&& f) { f(static_cast<Index>((items[i].key >> shift) & kMask)); },
         [](Index) {}, [&](Index i, Index at) { sorted[at] = items[i]; });
     items.swap(sorted);
   }
-  std::vector<std::int32_t> order(items.size());
-  for (std::size_t i = 0; i < items.size(); ++i) order[i] = items[i].surfel;
+  std::vector<std::int32_t> order(n);
+  for_range(n, kPiece, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) order[i] = items[i].surfel;
+  });
   return order;
 }
 

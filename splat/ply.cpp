@@ -238,12 +238,10 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
       .match("opacity", surfels.opacity, "P")
       .match("colours", surfels.colours, "P 3");
   const Index P = dim["P"];
-  std::string bytes = header_of(path, static_cast<std::uintmax_t>(P), comments, two_scales);
   const auto written = [&](std::size_t n) { return n != kThird || !two_scales; };
 
   std::array<float, kNames.size()> row{};
-  bytes.reserve(bytes.size() + static_cast<std::size_t>(P) * sizeof(row));
-  for (Index p = 0; p < P; ++p) {
+  const auto append = [&](Index p, std::string& bytes) {
     const auto at = [&](const Var& v, Index n, Index i) -> double { return v.value()[p * n + i]; };
     const auto put = [&](std::size_t property, double v) {
       if (!std::isfinite(v))
@@ -273,8 +271,16 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
     put(kOpacity, std::log(inner / (1 - inner)));
     for (std::size_t n = 0; n < row.size(); ++n)
       if (written(n)) bytes.append(reinterpret_cast<const char*>(&row[n]), sizeof(float));
-  }
-  atomic_write(path, bytes);
+  };
+  constexpr Index kTogether = 1 << 16;  // surfels written together, some 4 MB
+  std::string bytes = header_of(path, static_cast<std::uintmax_t>(P), comments, two_scales);
+  bool begun = false;
+  Index p = 0;
+  atomic_write(path, [&]() -> std::string_view {
+    if (std::exchange(begun, true)) bytes.clear();
+    for (const Index end = std::min(P, p + kTogether); p < end; ++p) append(p, bytes);
+    return bytes;
+  });
 }
 
 void join_ply(const std::filesystem::path& path, const std::vector<std::filesystem::path>& parts,

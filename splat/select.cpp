@@ -2,6 +2,7 @@
 #include "satsurf/splat/select.h"
 
 #include "satsurf/core/error.h"
+#include "satsurf/core/parallel.h"
 #include "satsurf/ops/concat.h"
 
 #include <algorithm>
@@ -17,8 +18,11 @@ namespace {
 Tensor rows_of(const Tensor& t, const std::vector<Index>& keep) {
   const Index n = std::ssize(keep), width = t.dim(0) > 0 ? t.count() / t.dim(0) : 0;
   auto out = Tensor::uninitialised(t.shape().with(0, n));
-  for (Index i = 0; i < n; ++i)
-    std::copy_n(t.data() + keep[i] * width, width, out.data() + i * width);
+  constexpr Index kGrain = 1 << 14;  // rows of one piece of work
+  for_range(n, kGrain, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i)
+      std::copy_n(t.data() + keep[i] * width, width, out.data() + i * width);
+  });
   return out;
 }
 

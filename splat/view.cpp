@@ -1,10 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/splat/view.h"
 
+#include "satsurf/core/parallel.h"
+
 #include <algorithm>
 #include <cmath>
 
 namespace satsurf::splat {
+namespace {
+
+constexpr Index kGrain = 1 << 15;  // pixels of one piece of work
+
+}  // namespace
 
 template <class T>
 BasicRender<T> render_view(const BasicSurfels<T>& surfels, const Quadratic& pixel_from_local,
@@ -24,19 +31,23 @@ Quadratic nadir_camera(double x0, double y0, double step) {
 Tensor surface_heights(const Render& render) {
   constexpr float kSeen = 0.05f;
   Tensor z = render.median_height.clone();
-  for (Index i = 0; i < z.count(); ++i) {
-    const float alpha = render.alpha.value()[i];
-    if (!(alpha > 0.5f)) z[i] = alpha > kSeen ? render.height.value()[i] : std::nanf("");
-  }
+  const Tensor &alphas = render.alpha.value(), &means = render.height.value();
+  for_range(z.count(), kGrain, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i)
+      if (const float alpha = alphas[i]; !(alpha > 0.5f))
+        z[i] = alpha > kSeen ? means[i] : std::nanf("");
+  });
   return z;
 }
 
 Tensor surface_colours(const Render& render) {
   Tensor out = render.colour.value().clone();
   const Tensor& alpha = render.alpha.value();
-  for (Index c = 0; c < out.dim(0); ++c)
-    for (Index i = 0; i < alpha.count(); ++i)
-      out[c * alpha.count() + i] /= std::max(alpha[i], 0.5f);
+  const Index C = out.dim(0), P = alpha.count();
+  for_range(P, kGrain, [&](Index begin, Index end) {
+    for (Index c = 0; c < C; ++c)
+      for (Index i = begin; i < end; ++i) out[c * P + i] /= std::max(alpha[i], 0.5f);
+  });
   return out;
 }
 

@@ -322,6 +322,18 @@ TEST_CASE("atomic_write: replaces whole files and leaves nothing else") {
   const std::string_view many[] = {"a", half, "b", half, large, "c", "", "d"};
   atomic_write(path, many);
   CHECK(read_bytes(path) == "a" + half + "b" + half + large + "cd");
+  // or are asked for one after the other; what asking throws leaves the file as it was
+  int asked = 0;
+  atomic_write(path,
+               [&]() -> std::string_view { return asked++ < 3 ? std::string_view(half) : ""; });
+  CHECK(read_bytes(path) == half + half + half);
+  CHECK(error_of<IoError>([&] {
+          atomic_write(path, [&]() -> std::string_view {
+            if (asked++ > 5) throw IoError("no more");
+            return large;
+          });
+        }) == "no more");
+  CHECK(read_bytes(path) == half + half + half);
   CHECK(std::distance(std::filesystem::directory_iterator(path.parent_path()), {}) == 1);
 
   const std::string occupied = (folder / "new").string();  // a folder cannot be replaced by a file
