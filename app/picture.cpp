@@ -49,8 +49,8 @@ struct PictureSize {
   Index width = 0, height = 0, channels = 0;
 };
 
-/// The size that a JPEG's frame header names (ITU-T T.81 B.2.2), zeros if there is none. libjpeg, told
-/// to open a progressive one, takes memory for all of it before its size can be asked.
+/// The size that a JPEG's frame header names (ITU-T T.81 B.2.2), zeros if there is none. libjpeg,
+/// told to open a progressive one, takes memory for all of it before its size can be asked.
 PictureSize jpeg_size(const std::filesystem::path& path) {
   std::ifstream in(path, std::ios::binary);
   int byte = in.get();
