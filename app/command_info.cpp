@@ -125,7 +125,7 @@ void print_pairs(const Info& info) {
 
 void run_info(const InfoOptions& options) {
   const Info info = info_of(options.images, options.image_dirs);
-  for (const auto& [file, why] : info.failed) log_line(LogLevel::error, with_image_dir(why));
+  for (const auto& [file, why] : info.failed) log_line(LogLevel::error, with_flag(why, true));
   if (options.json) {
     const auto replace = nlohmann::json::error_handler_t::replace;  // of a path that is not UTF-8
     std::printf("%s\n", info_json(info).dump(2, ' ', false, replace).c_str());

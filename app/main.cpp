@@ -6,6 +6,7 @@
 #include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/version.h"
+#include "satsurf/rpc/drivers.h"
 
 #include <cstdio>
 #include <new>
@@ -68,6 +69,7 @@ int run_program(int argc, char** argv) {
   survive_file_limits();
   open_log(program.common.log_level, program.common.quiet, program.common.log_file);
   set_threads(program.common.threads);
+  rpc::trust_drivers(program.common.gdal_drivers);
   log_command(argc, argv);
   catch_interrupts();
   try {
@@ -76,8 +78,7 @@ int run_program(int argc, char** argv) {
     throw Error(out_of_memory_text(*app.get_subcommands().front()));
   } catch (const IoError& e) {
     const CLI::App& called = *app.get_subcommands().front();
-    if (called.get_option_no_throw("--image-dir") == nullptr) throw;
-    throw IoError(with_image_dir(e.what()));
+    throw IoError(with_flag(e.what(), called.get_option_no_throw("--image-dir") != nullptr));
   }
   if (std::fflush(stdout) != 0) throw IoError("stdout: cannot be written");
   return kDone;

@@ -10,8 +10,16 @@
 
 namespace satsurf::app {
 
-std::string with_image_dir(std::string text) {
-  if (text.ends_with("; name its folder")) text += " with --image-dir";
+std::string with_flag(std::string text, bool image_dirs) {
+  if (image_dirs && text.ends_with("; name its folder")) text += " with --image-dir";
+  constexpr std::string_view kBefore = "; SATSURF_GDAL_DRIVERS=",
+                             kBehind = " in the environment allows it";
+  if (const std::size_t at = text.rfind(kBefore);
+      at != std::string::npos && text.ends_with(kBehind)) {
+    text.erase(text.size() - kBehind.size());
+    text.replace(at, kBefore.size(), "; --gdal-drivers ");
+    text += " allows it";
+  }
   return text;
 }
 

@@ -22,6 +22,7 @@ struct CommonFlags {
   bool quiet = false;
   LogLevel log_level = LogLevel::info;
   std::filesystem::path log_file;
+  std::vector<std::string> gdal_drivers;
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
@@ -35,6 +36,10 @@ struct CommonFlags {
     v("log_file", s.log_file,
       Field{.help = "add the messages, each with its time, to the end of this file",
             .flag = "--log-file"});
+    v("gdal_drivers", s.gdal_drivers,
+      Field{.help = "further drivers of GDAL that may read files, e.g. HDF5: whoever sends a file "
+                    "does not choose what reads it",
+            .flag = "--gdal-drivers"});
   }
 };
 
@@ -88,9 +93,10 @@ struct Program {
 /// Thrown where all that went wrong has been told: exit code 1 without a further word.
 struct AlreadyTold {};
 
-/// A complaint of an image that is nowhere, with the flag that mends it: what lies below this room
-/// knows no flags. Others come back as they are.
-std::string with_image_dir(std::string text);
+/// A complaint of an image that is nowhere, or of a format that is not trusted, with the flag that
+/// mends it: what lies below this room knows no flags. Others come back as they are.
+/// image_dirs  whether the command has `--image-dir`
+std::string with_flag(std::string text, bool image_dirs);
 
 /// That a command is not known, and which one was meant.
 std::string unknown_command(const Program& program, const std::string& name);

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/rpc/area.h"
 
+#include "satsurf/rpc/drivers.h"
 #include "satsurf/rpc/gdal.h"
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
+#include <iterator>
 #include <limits>
 #include <memory>
-#include <sstream>
 
 #include <ogrsf_frmts.h>
 
@@ -22,11 +22,7 @@ namespace fs = std::filesystem;
 std::vector<std::string> vector_drivers() {
   std::vector<std::string> names{"GeoJSON",    "GPKG", "ESRI Shapefile", "LIBKML", "KML",
                                  "FlatGeobuf", "GML"};
-  if (const char* more = std::getenv("SATSURF_GDAL_DRIVERS")) {
-    std::istringstream in(more);
-    for (std::string name; std::getline(in, name, ',');)
-      if (!name.empty()) names.push_back(name);
-  }
+  std::ranges::copy(trusted_drivers(), std::back_inserter(names));
   return names;
 }
 
@@ -50,21 +46,30 @@ void add_rings(Area& area, const OGRGeometry& geometry) {
   }
 }
 
-/// Length of all rings, in the units of the coordinates.
-double perimeter(const OGRGeometry& geometry) {
+/// Adds the polygons of a geometry, however nested. What else it holds is no area.
+void take_polygons(const OGRGeometry& geometry, OGRMultiPolygon& out) {
   const OGRwkbGeometryType type = wkbFlatten(geometry.getGeometryType());
-  double sum = 0;
   if (type == wkbPolygon)
-    for (const OGRLinearRing* ring : *geometry.toPolygon()) sum += ring->get_Length();
+    out.addGeometry(&geometry);
   else if (OGR_GT_IsSubClassOf(type, wkbGeometryCollection))
-    for (const OGRGeometry* part : *geometry.toGeometryCollection()) sum += perimeter(*part);
+    for (const OGRGeometry* part : *geometry.toGeometryCollection()) take_polygons(*part, out);
+}
+
+/// Length of all rings, in the units of the coordinates; NaN if a corner is.
+double perimeter(const OGRMultiPolygon& polygons) {
+  double sum = 0;
+  for (const OGRPolygon* polygon : polygons)
+    for (const OGRLinearRing* ring : *polygon) sum += ring->get_Length();
   return sum;
 }
 
 /// throws  IoError for corners that lie nowhere
-void check_corners(const fs::path& path, const OGRGeometry& geometry, bool degrees) {
+void check_corners(const fs::path& path, const OGRMultiPolygon& polygons, bool degrees) {
+  if (std::isnan(perimeter(polygons)))
+    throw IoError(path.string() + ": a corner is no number, expected " +
+                  (degrees ? "degrees" : "metres"));
   OGREnvelope box;
-  geometry.getEnvelope(&box);
+  polygons.getEnvelope(&box);
   // longitudes are counted from -180 or from 0, and a side may cross where they begin
   const double most_x = degrees ? 540 : 1e8, most_y = degrees ? 90 : 1e8;
   if (box.MinX >= -most_x && box.MaxX <= most_x && box.MinY >= -most_y && box.MaxY <= most_y)
@@ -86,32 +91,29 @@ std::unique_ptr<OGRGeometry> polygons_of(const fs::path& path, GDALDataset& d,
       if (geometry == nullptr) continue;
       std::unique_ptr<OGRGeometry> flat(geometry->getLinearGeometry());
       flat->flattenTo2D();
+      OGRMultiPolygon polygons;
+      take_polygons(*flat, polygons);
+      if (polygons.IsEmpty()) continue;
       const OGRSpatialReference* crs = layer->GetSpatialRef();
       if (crs == nullptr)
         throw IoError(path.string() + ": the layer " + layer->GetName() +
                       " names no reference system, expected one (a .prj beside a shapefile)");
       OGRSpatialReference from(*crs);
       from.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
-      flat->assignSpatialReference(&from);
-      check_corners(path, *flat, from.IsGeographic() != 0);
+      polygons.assignSpatialReference(&from);
+      check_corners(path, polygons, from.IsGeographic() != 0);
       // corners along long sides, which are straight where they were drawn and not in the zone; not
       // so many that sides around the Earth fill the memory, or that those of polygons which cross
       // each other take seconds to be joined
       constexpr double kMostCorners = 2e3;
-      flat->segmentize(
-          std::max(from.IsGeographic() ? 0.001 : 100, perimeter(*flat) / kMostCorners));
-      const bool moved = flat->transformTo(&wanted) == OGRERR_NONE;
-      flat->assignSpatialReference(nullptr);
+      polygons.segmentize(
+          std::max(from.IsGeographic() ? 0.001 : 100, perimeter(polygons) / kMostCorners));
+      const bool moved = polygons.transformTo(&wanted) == OGRERR_NONE;
+      polygons.assignSpatialReference(nullptr);
       if (!moved)
         throw IoError(path.string() + ": a polygon cannot be brought into the images' zone (" +
                       gdal_error() + "), expected one of the images' ground");
-      const OGRwkbGeometryType type = wkbFlatten(flat->getGeometryType());
-      if (type == wkbPolygon) {
-        all.addGeometry(flat.get());
-      } else if (OGR_GT_IsSubClassOf(type, wkbGeometryCollection)) {
-        for (const OGRGeometry* part : *flat->toGeometryCollection())
-          if (wkbFlatten(part->getGeometryType()) == wkbPolygon) all.addGeometry(part);
-      }
+      for (const OGRPolygon* polygon : polygons) all.addGeometry(polygon);
     }
   return std::unique_ptr<OGRGeometry>(all.UnionCascaded());
 }

@@ -67,8 +67,7 @@ struct DatasetCloser {
 };
 using DatasetPtr = std::unique_ptr<GDALDataset, DatasetCloser>;
 
-/// Opens a raster of one of the known formats, which SATSURF_GDAL_DRIVERS in the environment widens
-/// ("HDF5,netCDF": names of GDAL's drivers). Nothing is asked of a network: names in GDAL's virtual
+/// Opens a raster of one of the known formats or of those in `trusted_drivers`. Nothing is asked of a network: names in GDAL's virtual
 /// file systems are refused, and so is a VRT whose sources are not files of known formats.
 /// Needs a GdalScope.
 /// throws  IoError naming the file

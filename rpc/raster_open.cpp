@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/memory.h"
+#include "satsurf/rpc/drivers.h"
 #include "satsurf/rpc/gdal.h"
 
 #include <algorithm>
@@ -14,23 +15,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// GDAL's drivers for the formats that images and surface models come in. Left out are those that
-/// ask a server or a database, and the many whose code sees few files: whoever sends an image does
-/// not choose what reads it.
+/// GDAL's drivers for the formats that images and surface models come in; see rpc/drivers.h.
 constexpr const char* kDrivers[] = {"GTiff", "NITF", "JP2OpenJPEG", "JP2KAK", "JP2ECW",
                                     "DIMAP", "VRT",  "PNG",         "JPEG",   "BMP",
                                     "HFA",   "ENVI", "EHdr",        "PCIDSK", "AAIGrid"};
 
-/// Names of further drivers that the user trusts, with commas between.
-constexpr const char* kMoreDrivers = "SATSURF_GDAL_DRIVERS";
-
 std::vector<std::string> allowed_drivers() {
   std::vector<std::string> names(std::begin(kDrivers), std::end(kDrivers));
-  if (const char* more = std::getenv(kMoreDrivers)) {
-    std::istringstream in(more);
-    for (std::string name; std::getline(in, name, ',');)
-      if (!name.empty()) names.push_back(name);
-  }
+  std::ranges::copy(trusted_drivers(), std::back_inserter(names));
   return names;
 }
 
@@ -38,6 +30,11 @@ std::vector<std::string> allowed_drivers() {
 std::string driver_of(const std::string& name) {
   const GDALDriverH driver = GDALIdentifyDriverEx(name.c_str(), GDAL_OF_RASTER, nullptr, nullptr);
   return driver == nullptr ? "" : GDALGetDriverShortName(driver);
+}
+
+/// What the user can do about a driver that is not among them.
+std::string allow_text(const std::string& driver) {
+  return driver.empty() ? "" : "; SATSURF_GDAL_DRIVERS=" + driver + " in the environment allows it";
 }
 
 bool is_allowed(const std::string& driver) {
@@ -62,7 +59,7 @@ void check_source(const fs::path& vrt, const CPLXMLNode* element, int depth) {
   const std::string driver = driver_of(source.string());
   if (!is_allowed(driver))
     throw IoError(where + " is " + (driver.empty() ? "no raster" : "of the format " + driver) +
-                  ", expected GeoTIFF, NITF or alike; " + kMoreDrivers + " allows further ones");
+                  ", expected GeoTIFF, NITF or alike" + allow_text(driver));
   if (driver == "VRT") check_sources(source, depth + 1);
 }
 
@@ -126,8 +123,8 @@ DatasetPtr open_raster(const fs::path& path) {
   require_file(path, "a raster");
   const std::string driver = driver_of(name);
   if (!driver.empty() && !is_allowed(driver))
-    throw IoError(name + ": of the format " + driver + ", expected GeoTIFF, NITF or alike; " +
-                  kMoreDrivers + "=" + driver + " in the environment allows it");
+    throw IoError(name + ": of the format " + driver + ", expected GeoTIFF, NITF or alike" +
+                  allow_text(driver));
   if (driver == "VRT") check_sources(path, 0);
   std::vector<std::string> names = allowed_drivers();
   std::vector<const char*> list;

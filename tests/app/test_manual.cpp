@@ -72,6 +72,9 @@ TEST_CASE("what was meant is named") {
   CHECK(refused({"reconstruct", "a.tif", "--colour=3"}) ==
         "reconstruct: unknown flag --colour; see satsurf help reconstruct");
   CHECK(refused({"help", "info", "render"}) == "help: unexpected render; see satsurf help help");
-  CHECK(with_image_dir("a.json: no image; name its folder").ends_with(" with --image-dir"));
-  CHECK(with_image_dir("else") == "else");
+  CHECK(with_flag("a.json: no image; name its folder", true).ends_with(" with --image-dir"));
+  CHECK(with_flag("a.json: no image; name its folder", false).ends_with(" its folder"));
+  CHECK(with_flag("a.pgm: of the format PNM; SATSURF_GDAL_DRIVERS=PNM in the environment allows it",
+                  false) == "a.pgm: of the format PNM; --gdal-drivers PNM allows it");
+  CHECK(with_flag("else", true) == "else");
 }

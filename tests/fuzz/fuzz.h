@@ -19,6 +19,13 @@
 
 #include <unistd.h>
 
+#if defined(__has_feature)
+#if __has_feature(address_sanitizer)
+#define SATSURF_FUZZ_COUNTS
+#include <sanitizer/allocator_interface.h>
+#endif
+#endif
+
 namespace satsurf::fuzz {
 
 /// Ends the program with a line that says what is wrong, which libFuzzer takes for a finding.
@@ -51,6 +58,38 @@ bool only(const F& f) {
 inline void require(bool holds, const char* promise) {
   if (!holds) finding(std::string("does not hold: ") + promise);
 }
+
+/// While one lives, what is allocated may be 200 MB and twenty times the input more than before.
+/// Counted under the address sanitizer alone.
+class MemoryLimit {
+ public:
+  explicit MemoryLimit(std::size_t input) {
+#ifdef SATSURF_FUZZ_COUNTS
+    [[maybe_unused]] static const int installed =
+        __sanitizer_install_malloc_and_free_hooks(&allocated, [](const volatile void*) {});
+    most = __sanitizer_get_current_allocated_bytes() + 200'000'000 + 20 * input;
+#else
+    static_cast<void>(input);
+#endif
+  }
+  ~MemoryLimit() { most = 0; }
+  MemoryLimit(const MemoryLimit&) = delete;
+  MemoryLimit& operator=(const MemoryLimit&) = delete;
+
+ private:
+#ifdef SATSURF_FUZZ_COUNTS
+  static void allocated(const volatile void*, std::size_t bytes) {
+    constexpr std::size_t kEvery = std::size_t{1} << 20;  // counting takes longer than allocating
+    thread_local std::size_t since = 0;
+    since += bytes;
+    if (since < kEvery || most == 0) return;
+    since = 0;
+    if (__sanitizer_get_current_allocated_bytes() > most)
+      finding("more memory than 200 MB and twenty times the input");
+  }
+#endif
+  static inline std::size_t most = 0;
+};
 
 /// A folder of this process below TMPDIR, which run.sh lets lie in memory.
 class Folder {
@@ -130,6 +169,7 @@ extern "C" int LLVMFuzzerInitialize(int*, char***) {
 }
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  const satsurf::fuzz::MemoryLimit limit(size);
   satsurf::fuzz::run({reinterpret_cast<const char*>(data), size});
   return 0;
 }

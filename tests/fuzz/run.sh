@@ -62,7 +62,7 @@ for target in $targets; do
   timeout=${SATSURF_FUZZ_TIMEOUT:-2} # s
   [ "$target" = scene ] && timeout=10  # it searches images for their heights
   code=0
-  "$build/bin/fuzz_$target" $length -timeout=$timeout -rss_limit_mb=2048 -malloc_limit_mb=1024 -dict=$here/words.dict \
+  "$build/bin/fuzz_$target" $length -timeout=$timeout -rss_limit_mb=2048 -malloc_limit_mb=200 -dict=$here/words.dict \
     -print_final_stats=1 -artifact_prefix="$build/findings/$target-" "$build/corpus/$target" "$build/seeds/$target" \
     >"$log" 2>&1 || code=$?
   runs=$(sed -n 's/^stat::number_of_executed_units: *//p' "$log" | tail -1)

@@ -96,6 +96,30 @@ TEST_CASE("sides around the Earth a hundred times do not fill the memory with co
   const std::string where = (folder / "far.geojson").string() + ": corners from (-81, 30) to (";
   CHECK(says("214748364845,30.5") == where + "2.14748e+11, 31), expected degrees");
   CHECK(says("-80,1e300") == where + "-80, 1e+300), expected degrees");
+  // to which no envelope and no length of a step say no
+  write_bytes(
+      folder / "nan.kml",
+      R"(<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark>)"
+      R"(<Polygon><outerBoundaryIs><LinearRing><coordinates>-81,30 -80,30 nan,30.5 -81,30)"
+      R"(</coordinates></LinearRing></outerBoundaryIs></Polygon></Placemark></Document></kml>)");
+  CHECK(test::error_of<IoError>([&] { read_area(folder / "nan.kml", kZone); }) ==
+        (folder / "nan.kml").string() + ": a corner is no number, expected degrees");
+}
+
+TEST_CASE("what is no polygon is no area, and not looked at") {
+  const TempFolder folder("area");
+  const std::string polygon =
+      R"({"type":"Polygon","coordinates":[[[-81,30],[-80.9,30],[-80.9,30.1],[-81,30]]]})";
+  write_bytes(folder / "alone.geojson", polygon);
+  write_bytes(folder / "mixed.geojson",
+              R"({"type":"GeometryCollection","geometries":[{"type":"LineString","coordinates":)"
+              R"([[-1e300,30],[1e300,30]]},{"type":"GeometryCollection","geometries":[)" +
+                  polygon + "]}]}");
+  const Area alone = read_area(folder / "alone.geojson", kZone),
+             mixed = read_area(folder / "mixed.geojson", kZone);
+  REQUIRE(mixed.rings.size() == 1);
+  CHECK(mixed.rings[0].size() == alone.rings[0].size());
+  CHECK(mixed.bounds() == alone.bounds());
 }
 
 TEST_CASE("a box in degrees becomes the same ground in the zone") {

@@ -4,6 +4,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/rpc/camera_check.h"
+#include "satsurf/rpc/drivers.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 
@@ -374,7 +375,7 @@ TEST_CASE("rasters are opened by known drivers, and nothing is asked of a networ
   CHECK(mosaic("a.pgm", true) ==
         vrt +
             ": its source \"a.pgm\" is of the format PNM, expected GeoTIFF, NITF or alike; "
-            "SATSURF_GDAL_DRIVERS allows further ones");
+            "SATSURF_GDAL_DRIVERS=PNM in the environment allows it");
   CHECK(mosaic("http://127.0.0.1:9/a.tif", false) ==
         vrt +
             ": its source \"http://127.0.0.1:9/a.tif\" is no file, expected a raster on this "
@@ -398,6 +399,11 @@ TEST_CASE("rasters are opened by known drivers, and nothing is asked of a networ
   ::setenv("SATSURF_GDAL_DRIVERS", "HDF5,PNM", 1);
   CHECK(error_of<IoError>([&] { read_info(ppm); }) == "no exception");
   ::unsetenv("SATSURF_GDAL_DRIVERS");
+  CHECK(error_of<IoError>([&] { read_info(ppm); }) != "no exception");
+  trust_drivers({"HDF5", "PNM"});
+  CHECK(error_of<IoError>([&] { read_info(ppm); }) == "no exception");
+  CHECK(mosaic("a.pgm", true) == "no exception");
+  trust_drivers({});
 }
 
 TEST_CASE("JSON that is hostile is refused by name, wherever it is read") {
