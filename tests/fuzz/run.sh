@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Builds the fuzz targets, makes what they begin with and runs them one after the other; as root on Debian 12 it installs
 # clang first. Prints a line for each and fails if there was any finding.
-#   run.sh [SECONDS | -runs=N] [TARGET...]     10 seconds and all targets if left out; `readers` is the cheaper half
+#   run.sh [SECONDS | -runs=N] [TARGET...]     10 seconds and all targets if left out; `readers` and `others`
+#                                           are its halves, the first the cheaper one
 # Inputs that reached something new are kept in build/fuzz/corpus/TARGET and are where the next run begins;
 # those that failed lie in build/fuzz/findings. Run one again: build/fuzz/bin/fuzz_TARGET FILE
 # SATSURF_FUZZ_TIMEOUT: seconds that an input may take, if not 2
@@ -21,6 +22,7 @@ others='weights json tile dataset cameras scene picture'
 known=$readers\ $others
 targets=${*:-$known}
 [ "$targets" = readers ] && targets=$readers
+[ "$targets" = others ] && targets=$others
 makers=make_files
 for target in $targets; do
   [[ " $others " == *" $target "* ]] && makers='make_files make_networks'
@@ -60,7 +62,7 @@ for target in $targets; do
   mkdir -p "$build/corpus/$target" "$build/seeds/$target"
   log=$build/logs/$target.log
   timeout=${SATSURF_FUZZ_TIMEOUT:-2} # s
-  [ "$target" = scene ] && timeout=10  # it searches images for their heights
+  [ "$target" = scene ] && [ "$timeout" -lt 10 ] && timeout=10 # it searches images for their heights
   code=0
   "$build/bin/fuzz_$target" $length -timeout=$timeout -rss_limit_mb=2048 -malloc_limit_mb=200 -dict=$here/words.dict \
     -print_final_stats=1 -artifact_prefix="$build/findings/$target-" "$build/corpus/$target" "$build/seeds/$target" \
