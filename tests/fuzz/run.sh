@@ -6,7 +6,7 @@
 #                                           are its halves, the first the cheaper one
 # Inputs that reached something new are kept in build/fuzz/corpus/TARGET and are where the next run begins;
 # those that failed lie in build/fuzz/findings. Run one again: build/fuzz/bin/fuzz_TARGET FILE
-# SATSURF_FUZZ_TIMEOUT: seconds that an input may take, if not 2
+# SATSURF_FUZZ_TIMEOUT: seconds that an input may take, if not 2: more where the machine has other work
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 here=tests/fuzz build=build/fuzz
@@ -62,7 +62,6 @@ for target in $targets; do
   mkdir -p "$build/corpus/$target" "$build/seeds/$target"
   log=$build/logs/$target.log
   timeout=${SATSURF_FUZZ_TIMEOUT:-2} # s
-  [ "$target" = scene ] && [ "$timeout" -lt 10 ] && timeout=10 # it searches images for their heights
   code=0
   "$build/bin/fuzz_$target" $length -timeout=$timeout -rss_limit_mb=2048 -malloc_limit_mb=200 -dict=$here/words.dict \
     -print_final_stats=1 -artifact_prefix="$build/findings/$target-" "$build/corpus/$target" "$build/seeds/$target" \
