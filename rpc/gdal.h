@@ -67,8 +67,9 @@ struct DatasetCloser {
 };
 using DatasetPtr = std::unique_ptr<GDALDataset, DatasetCloser>;
 
-/// Opens a raster of one of the known formats or of those in `trusted_drivers`. Nothing is asked of a network: names in GDAL's virtual
-/// file systems are refused, and so is a VRT whose sources are not files of known formats.
+/// Opens a raster of one of the known formats or of those that `trusted_drivers` names. Nothing is
+/// asked of a network: names in GDAL's virtual file systems are refused, and so is a VRT whose
+/// sources are not files of such formats.
 /// Needs a GdalScope.
 /// throws  IoError naming the file
 DatasetPtr open_raster(const std::filesystem::path& path);
