@@ -12,8 +12,8 @@ set(satsurf_internal_headers
   "/mesh/sampled_view\\.h$"
   "/scene/(grey_pyramid|ray_walk|satnerf|sight_lines|whu)\\.h$"
   "/scene/simulate/(city|conditions|develop|draw|dress|given|layout|natural|noise|orbit|render|texture)\\.h$"
-  "/reconstruct/(cast|cell_mode|cell_surfels|cross_check|fusion|narrow|surface_input|trust)\\.h$"
+  "/reconstruct/(cast|cell_count|cell_mode|cell_surfels|cross_check|fusion|narrow|shown_pixel|surface_input|trust)\\.h$"
   "/train/(sample_batch)\\.h$"
   "/evaluate/score_views\\.h$")
 # Of the readers' room the engine has the cameras alone.
-set(satsurf_reader_headers "/rpc/(area|crs|geoid|ground_raster|raster|read|warp)\\.h$")
+set(satsurf_reader_headers "/rpc/(area|crs|drivers|geoid|ground_raster|raster|read|warp)\\.h$")

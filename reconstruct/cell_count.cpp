@@ -2,25 +2,13 @@
 #include "satsurf/reconstruct/cell_count.h"
 
 #include "satsurf/core/parallel.h"
-#include "satsurf/core/whole.h"
-#include "satsurf/rpc/model.h"
+#include "satsurf/reconstruct/shown_pixel.h"
 
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 
 namespace satsurf::reconstruct {
-namespace {
-
-bool shows(const nn::PosedImage& image, double x, double y, double z) {
-  const auto [column, row] = image.pixel_from_local(x, y, z);
-  const Index H = image.valid.dim(0), W = image.valid.dim(1);
-  return rpc::inside_image({column, row}, W, H) &&
-         image.valid[floored(row + 0.5) * W + floored(column + 0.5)] > 0;
-}
-
-}  // namespace
-
 CellCount count_cells(const scene::HeightField& surface, const std::vector<nn::PosedImage>& images,
                       double middle, const Tensor& unwanted) {
   const Index H = surface.z.dim(0), W = surface.z.dim(1);
@@ -34,12 +22,14 @@ CellCount count_cells(const scene::HeightField& surface, const std::vector<nn::P
       const double x = surface.x0 + (static_cast<double>(column) + 0.5) * surface.step;
       const bool has = std::isfinite(surface.z[i]);
       count.found += has ? 1 : 0;
-      count.expected += has || std::ranges::count_if(images,
-                                                     [&](const nn::PosedImage& image) {
-                                                       return shows(image, x, y, middle);
-                                                     }) >= 2
-                            ? 1
-                            : 0;
+      count.expected +=
+          has || std::ranges::count_if(
+                     images,
+                     [&](const nn::PosedImage& image) {
+                       return shown_pixel(image, image.pixel_from_local(x, y, middle)) >= 0;
+                     }) >= 2
+              ? 1
+              : 0;
     }
   });
   CellCount all;

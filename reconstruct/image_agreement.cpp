@@ -2,9 +2,8 @@
 #include "satsurf/reconstruct/image_agreement.h"
 
 #include "satsurf/core/parallel.h"
-#include "satsurf/core/whole.h"
 #include "satsurf/nn/surfel_head.h"
-#include "satsurf/rpc/model.h"
+#include "satsurf/reconstruct/shown_pixel.h"
 #include "satsurf/scene/sight_lines.h"
 
 #include <algorithm>
@@ -42,12 +41,10 @@ std::optional<double> correlation(const Points& a, const Points& b) {
 
 /// Mean of the channels at the nearest pixel; NaN outside and where the image has no data.
 float brightness(const nn::PosedImage& image, const std::array<double, 2>& pixel) {
-  const Index H = image.valid.dim(0), W = image.valid.dim(1), C = image.rgb.dim(0);
-  if (!rpc::inside_image({pixel[0], pixel[1]}, W, H)) return NAN;
-  const Index at = floored(pixel[1] + 0.5) * W + floored(pixel[0] + 0.5);
-  if (!(image.valid[at] > 0)) return NAN;
+  const Index at = shown_pixel(image, pixel), C = image.rgb.dim(0), P = image.valid.count();
+  if (at < 0) return NAN;
   float sum = 0;
-  for (Index c = 0; c < C; ++c) sum += image.rgb[c * H * W + at];
+  for (Index c = 0; c < C; ++c) sum += image.rgb[c * P + at];
   return sum / static_cast<float>(C);
 }
 
