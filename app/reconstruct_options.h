@@ -290,7 +290,8 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
       {"memory_by_part", "of each part of the work: part, bytes, planned_bytes"},
       {"tile_table",
        "only of large images and parts of the ground: of each tile row, column, ground (least "
-       "easting, least northing, largest easting, largest northing), status (done, empty: fewer "
+       "easting, least northing, largest easting, largest northing), corners (of a turned tile; "
+       "easting, northing), status (done, empty: fewer "
        "than two images see it, failed), seconds, completeness, and of those done "
        "height_range_searched, window (rows and columns, px), surfels and images (names); of those "
        "failed error"},

@@ -24,6 +24,7 @@
 #include "satsurf/splat/select.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -101,8 +102,14 @@ void print_plan(const Tiling& tiling, const scene::Survey& survey, const Reconst
   print_plan_ground(survey.user, tiling.grid.ground(), job.crs);
   std::printf("surface       %td x %td cells of %g m\n", tiling.grid.width, tiling.grid.height,
               tiling.grid.step);
-  std::printf("tiles         %td x %td, each with windows of at most %td x %td px of %td images\n",
-              tiling.columns, tiling.rows, tiling.window, tiling.window, tiling.views);
+  const double turned = tiling.axes.degrees();
+  std::printf(
+      "tiles         %td x %td%s, each with windows of about %td x %td px, at most %td x %td, of "
+      "%td images\n",
+      tiling.columns, tiling.rows,
+      turned != 0 ? fmt::format(", turned by {:g} degrees as the images are", turned).c_str() : "",
+      tiling.expected_window.width, tiling.expected_window.height, tiling.window, tiling.window,
+      tiling.views);
   std::printf("memory        about %s; %s are free\n", memory_text(tiling.memory_bytes).c_str(),
               memory_text(static_cast<double>(available_memory())).c_str());
   std::printf(
@@ -114,8 +121,10 @@ void print_plan(const Tiling& tiling, const scene::Survey& survey, const Reconst
 
 /// throws  Error where the system has less memory than the plan needs
 void check_memory(const Tiling& tiling) {
-  satsurf::check_memory(fmt::format("tiles of {} px need", tiling.window), tiling.memory_bytes,
-                        "--max-memory makes them smaller", static_cast<double>(tensor_bytes()));
+  satsurf::check_memory(fmt::format("tiles of {} x {} px need", tiling.expected_window.width,
+                                    tiling.expected_window.height),
+                        tiling.memory_bytes, "--max-memory makes them smaller",
+                        static_cast<double>(tensor_bytes()));
 }
 
 /// What the tiles of a run depend on: a run that goes on with them must have the same.
@@ -143,7 +152,8 @@ nlohmann::json plan_json(const ReconstructJob& job, const scene::Survey& survey,
           {"z_range", {survey.user.scene.z_range.low, survey.user.scene.z_range.high}},
           {"shifts", shifts},
           {"grid", {grid.east, grid.north, grid.step, grid.height, grid.width}},
-          {"tiles", {tiling.rows, tiling.columns, tiling.overlap, tiling.window}}};
+          {"tiles",
+           {tiling.rows, tiling.columns, tiling.overlap, tiling.window, tiling.axes.degrees()}}};
 }
 
 /// The most surfels that one tile may have, 0 for all: its share of those of the whole.
@@ -151,8 +161,7 @@ Index surfels_of_tile(const Tiling& tiling, const Tile& tile, Index most) {
   const double cells = static_cast<double>(tiling.grid.width * tiling.grid.height);
   if (most == 0 && cells > kLargeCells) most = static_cast<Index>(kLargeCells);
   if (most == 0) return 0;
-  const double share =
-      static_cast<double>(tile.core.width()) * static_cast<double>(tile.core.height()) / cells;
+  const double share = (tile.end[0] - tile.begin[0]) * (tile.end[1] - tile.begin[1]) / cells;
   return std::max<Index>(1, static_cast<Index>(static_cast<double>(most) * share));
 }
 
@@ -191,10 +200,9 @@ class TileMaker {
  private:
   std::future<scene::WindowedScene> read(std::size_t k) const {
     return std::async(std::launch::async, [this, k] {
-      const reconstruct::Ground ground = tiling_.grid_of(tiling_.tiles[k].all).ground();
-      const scene::Scene& whole = survey_.user.scene;
-      if (!wanted_.meets(ground, whole.frame)) return scene::WindowedScene{};
-      return scene::read_windows(survey_, ground, range_over(ground));
+      const reconstruct::Ground box = tiling_.grid_of(tiling_.tiles[k].all).ground();
+      if (!wanted_.meets(box, survey_.user.scene.frame)) return scene::WindowedScene{};
+      return scene::read_windows(survey_, tiling_.ground_of(tiling_.tiles[k]), range_over(box));
     });
   }
 
@@ -303,6 +311,18 @@ nlohmann::ordered_json table_json(const Tiling& tiling, const std::vector<TileRe
         {"seconds", r.seconds},
         {"completeness",
          r.expected > 0 ? static_cast<double>(r.found) / static_cast<double>(r.expected) : 0.0}};
+    if (tiling.axes.sine != 0) {
+      auto corners = nlohmann::ordered_json::array();
+      for (const auto& [u, v] : {std::array{tile.begin[0], tile.begin[1]},
+                                 {tile.end[0], tile.begin[1]},
+                                 {tile.end[0], tile.end[1]},
+                                 {tile.begin[0], tile.end[1]}}) {
+        const auto [x, y] = tiling.axes.place(u, v);
+        corners.push_back({tiling.grid.east + x * tiling.grid.step + frame.easting0,
+                           tiling.grid.north - y * tiling.grid.step + frame.northing0});
+      }
+      row["corners"] = std::move(corners);
+    }
     if (r.status == "done") {
       const rpc::HeightRange heights = frame.heights_from_z(r.z_range);
       row["height_range_searched"] = {heights.low, heights.high};

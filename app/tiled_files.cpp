@@ -81,15 +81,6 @@ void leave_out(Tensor& values, Index y0, const reconstruct::Grid& grid,
   }
 }
 
-/// Puts the core of a tile into rows of the whole.
-/// rows  [C n W]
-void put_core(Tensor& rows, const Tensor& core, const Tile& tile) {
-  const Index C = rows.dim(0), n = rows.dim(1), W = rows.dim(2), w = tile.core.width();
-  for (Index c = 0; c < C; ++c)
-    for (Index y = 0; y < n; ++y)
-      std::copy_n(core.data() + (c * n + y) * w, w, rows.data() + (c * n + y) * W + tile.core.x0);
-}
-
 /// Where the rows of a grid from y0 on lie.
 rpc::GeoGrid geo_rows(const reconstruct::Grid& grid, const rpc::LocalFrame& frame, Index y0) {
   return {frame.zone.epsg(), grid.east + frame.easting0,
@@ -190,6 +181,7 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
              ortho = growing("ortho.tif", bands, tags.ortho);
   std::unique_ptr<rpc::GeoRasterRows> sigma;
   reconstruct::FeatheredRows heights(tiling), sure(tiling), expected(tiling);
+  reconstruct::OwnedRows counts(tiling, 1), pictures(tiling, bands);
   Overview small(grid.height, grid.width), small_confidence(grid.height, grid.width);
   TiledSurface out;
   out.heights = {INFINITY, -INFINITY};
@@ -197,43 +189,21 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
   Index done_rows = 0;
   std::vector<fs::path> surfels;
   bool has_sigma = false;
-  const auto at = [&](Index r, Index c) {
-    return static_cast<std::size_t>(r * tiling.columns + c);
-  };
   for (std::size_t k = 0; k < records.size() && !has_sigma; ++k)
     if (records[k].status == "done") has_sigma = !store.load(tiling.tiles[k]).sigma.empty();
   if (has_sigma) sigma = growing("height_sigma.tif", 1, tags.sigma);
 
-  for (Index r = 0; r < tiling.rows; ++r) {
-    const reconstruct::CellRect& first = tiling.tiles[at(r, 0)].core;
-    Tensor counts({1, first.height(), grid.width}, kNan),
-        picture({bands, first.height(), grid.width}, kNan);
-    for (Index c = 0; c < tiling.columns; ++c) {
-      progress(static_cast<double>(at(r, c)) / static_cast<double>(records.size() + 1));
-      const Tile& tile = tiling.tiles[at(r, c)];
-      if (records[at(r, c)].status != "done") continue;
-      const reconstruct::TileSurface part = store.load(tile);
-      if (part.sigma.empty() == has_sigma || (!part.ortho.empty() && part.ortho.dim(0) != bands))
-        throw IoError(store.path().string() + ": tile " + std::to_string(tile.row) + " " +
-                      std::to_string(tile.column) +
-                      " has other rasters than the others, expected the tiles of one run");
-      heights.add(tile, part.heights);
-      sure.add(tile, part.confidence);
-      if (has_sigma) expected.add(tile, part.sigma);
-      put_core(counts, part.views.reshaped({1, tile.core.height(), tile.core.width()}), tile);
-      if (!part.ortho.empty()) put_core(picture, part.ortho, tile);
-      if (records[at(r, c)].surfels > 0) surfels.push_back(store.surfels_of(tile));
-    }
-    for (Tensor* t : {&counts, &picture}) leave_out(*t, first.y0, grid, frame, polygons);
-    views->append(counts);
-    keep_off_nodata(picture, tags.ortho);
-    ortho->append(picture);
-
-    const auto finished = [&](reconstruct::FeatheredRows& rows) {
-      Tensor t = rows.finished(r);
+  // Writes the rows that no later tile reaches.
+  const auto write_rows = [&](Index end) {
+    const auto finished = [&](auto& rows) {
+      Tensor t = rows.finished(end);
       leave_out(t, done_rows, grid, frame, polygons);
       return t;
     };
+    views->append(finished(counts));
+    Tensor picture = finished(pictures);
+    keep_off_nodata(picture, tags.ortho);
+    ortho->append(picture);
     Tensor z = finished(heights);
     const Tensor s = finished(sure);
     small.append(z), small_confidence.append(s);
@@ -243,13 +213,33 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
       const double h = static_cast<double>(z[i]) + frame.h0;
       out.heights = {std::min(out.heights.low, h), std::max(out.heights.high, h)};
     }
-    if (datum != rpc::HeightDatum::ellipsoid && z.dim(0) > 0)
+    if (datum != rpc::HeightDatum::ellipsoid)
       rpc::refer_to_geoid(z, geo_rows(grid, frame, done_rows), datum);
     for (float& h : z.values()) h = static_cast<float>(static_cast<double>(h) + frame.h0);
     dsm->append(z), confidence->append(s);
     if (has_sigma) sigma->append(finished(expected));
-    done_rows += z.dim(0);
+    done_rows = end;
+  };
+  const std::vector<std::size_t> order = reconstruct::assembly_order(tiling);
+  for (std::size_t n = 0; n < order.size(); ++n) {
+    progress(static_cast<double>(n) / static_cast<double>(records.size() + 1));
+    const Tile& tile = tiling.tiles[order[n]];
+    const TileRecord& record = records[order[n]];
+    if (tile.all.y0 > done_rows) write_rows(tile.all.y0);
+    if (record.status != "done") continue;
+    const reconstruct::TileSurface part = store.load(tile);
+    if (part.sigma.empty() == has_sigma || (!part.ortho.empty() && part.ortho.dim(0) != bands))
+      throw IoError(store.path().string() + ": tile " + std::to_string(tile.row) + " " +
+                    std::to_string(tile.column) +
+                    " has other rasters than the others, expected the tiles of one run");
+    heights.add(tile, part.heights);
+    sure.add(tile, part.confidence);
+    if (has_sigma) expected.add(tile, part.sigma);
+    counts.add(tile, part.views.reshaped({1, tile.core.height(), tile.core.width()}));
+    if (!part.ortho.empty()) pictures.add(tile, part.ortho);
+    if (record.surfels > 0) surfels.push_back(store.surfels_of(tile));
   }
+  if (done_rows < grid.height) write_rows(grid.height);
   for (rpc::GeoRasterRows* raster : {dsm.get(), confidence.get(), views.get(), ortho.get()}) {
     progress(static_cast<double>(records.size()) / static_cast<double>(records.size() + 1));
     raster->finish();

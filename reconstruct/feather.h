@@ -3,32 +3,43 @@
 
 #include "satsurf/reconstruct/tiling.h"
 
+#include <cstddef>
 #include <vector>
 
 namespace satsurf::reconstruct {
 
-/// Weight of a cell of a tile along one axis: one in the middle, falling linearly to zero across the
-/// overlap with a neighbour, so that the weights of two neighbours add up to one.
-/// cell        of the grid
-/// begin, end  of the tile's core
-/// cells       of the grid along the axis: its rim has no neighbour
-double feather(Index cell, Index begin, Index end, Index cells, Index overlap);
-
-/// Blends the rasters of tiles, row of tiles by row of tiles, and gives back the rows of the whole
-/// that no later tile reaches. Unknown cells of one tile leave the cell to the others.
+/// Blends the rasters of tiles as `Tiling::weight` says and gives the rows of the whole back from
+/// north to south. Unknown cells of one tile leave the cell to the others.
 class FeatheredRows {
  public:
   explicit FeatheredRows(const Tiling& tiling);
-  /// values  [h w] of all cells of the tile; the tiles come row by row
+  /// values  [h w] of all cells of the tile, of which none lies in rows that were given back
   void add(const Tile& tile, const Tensor& values);
-  /// Ends a row of tiles.
-  /// returns  the rows from the last ones given on that are finished, [n W]
-  Tensor finished(Index tile_row);
+  /// The rows from the last ones given back to `end`, which no later tile reaches, [n W].
+  Tensor finished(Index end);
 
  private:
   const Tiling& tiling_;
   Index first_ = 0;  ///< row of the grid that `sum_` begins with
   std::vector<float> sum_, weight_;
 };
+
+/// Puts the rasters of tiles beside one another, each in the cells that it answers for.
+class OwnedRows {
+ public:
+  OwnedRows(const Tiling& tiling, Index channels);
+  /// values  [C h w] of the tile's core
+  void add(const Tile& tile, const Tensor& values);
+  /// As of `FeatheredRows`, [C n W], NaN where no tile knew anything.
+  Tensor finished(Index end);
+
+ private:
+  const Tiling& tiling_;
+  Index first_ = 0;                         ///< row of the grid that `values_` begin with
+  std::vector<std::vector<float>> values_;  ///< of each channel
+};
+
+/// The order in which tiles are put together so that rows are finished early: from north to south.
+std::vector<std::size_t> assembly_order(const Tiling& tiling);
 
 }  // namespace satsurf::reconstruct

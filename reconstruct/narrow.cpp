@@ -58,10 +58,7 @@ std::array<double, 3> middle_of(const scene::Scene& scene) {
 }
 
 /// Pixels of parallax per metre of height of the pair that has most.
-double most_parallax(const scene::Scene& scene) {
-  std::vector<rpc::PixelJacobian> cameras;
-  for (const scene::View& v : scene.views)
-    cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, middle_of(scene)));
+double most_parallax(const std::vector<rpc::PixelJacobian>& cameras) {
   double most = 0;
   for (const auto& a : cameras)
     for (const auto& b : cameras)
@@ -131,10 +128,18 @@ std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& h
 
 }  // namespace
 
-double span_of_hypotheses(const nn::ModelConfig& config, const scene::Scene& scene) {
+double span_of_hypotheses(const nn::ModelConfig& config,
+                          const std::vector<rpc::PixelJacobian>& cameras) {
   constexpr double kApart = 0.8;  // stage pixels
   return kApart * static_cast<double>(nn::kStrides[0] * config.hypotheses[0]) /
-         most_parallax(scene);
+         most_parallax(cameras);
+}
+
+double span_of_hypotheses(const nn::ModelConfig& config, const scene::Scene& scene) {
+  std::vector<rpc::PixelJacobian> cameras;
+  for (const scene::View& v : scene.views)
+    cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, middle_of(scene)));
+  return span_of_hypotheses(config, cameras);
 }
 
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,

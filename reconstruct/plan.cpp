@@ -30,10 +30,10 @@ std::array<rpc::Pixel, 9> outline(const scene::View& v) {
   return pixels;
 }
 
-/// What at least two views see at one height; without a span where there is no such ground.
+/// Around what at least two views see at one height; empty where there is no such ground.
 /// sees  how many do at a point, local m
 template <class F>
-Ground common_ground(const scene::Scene& scene, double z, F&& sees) {
+scene::Polygon common_outline(const scene::Scene& scene, double z, F&& sees) {
   Ground all{INFINITY, INFINITY, -INFINITY, -INFINITY};
   for (const scene::View& v : scene.views)
     for (const rpc::Pixel& pixel : outline(v)) {
@@ -43,34 +43,36 @@ Ground common_ground(const scene::Scene& scene, double z, F&& sees) {
     }
   // fine enough to place tiles; the exact rim comes from the surfels themselves
   constexpr Index kGrid = 128;
-  Ground common{INFINITY, INFINITY, -INFINITY, -INFINITY};
+  std::vector<std::array<double, 2>> corners;
   const double dx = all.width() / kGrid, dy = all.height() / kGrid;
   for (Index i = 0; i < kGrid; ++i)
     for (Index j = 0; j < kGrid; ++j) {
       const double x = all.x0 + (static_cast<double>(j) + 0.5) * dx,
                    y = all.y0 + (static_cast<double>(i) + 0.5) * dy;
       if (sees(std::array{x, y, z}) < 2) continue;
-      common = {std::min(common.x0, x - dx / 2), std::min(common.y0, y - dy / 2),
-                std::max(common.x1, x + dx / 2), std::max(common.y1, y + dy / 2)};
+      for (const double u : {x - dx / 2, x + dx / 2})
+        for (const double v : {y - dy / 2, y + dy / 2}) corners.push_back({u, v});
     }
-  return common;
+  return scene::convex_hull(std::move(corners));
 }
 
 }  // namespace
 
-Ground common_ground(const scene::Scene& scene) {
+scene::Polygon common_outline(const scene::Scene& scene) {
   const double z = scene.z_range.middle();
-  Ground common = common_ground(scene, z, [&](const auto& p) { return views_showing(scene, p); });
-  if (!(common.width() > 0))
-    common = common_ground(scene, z, [&](const auto& p) {
+  scene::Polygon common =
+      common_outline(scene, z, [&](const auto& p) { return views_showing(scene, p); });
+  if (common.empty())
+    common = common_outline(scene, z, [&](const auto& p) {
       const rpc::Geodetic at = scene.frame.geodetic_from_local(p);
       return std::ranges::count_if(scene.views,
                                    [&](const scene::View& v) { return v.contains(at); });
     });
-  if (!(common.width() > 0))
-    throw Error("no two images see the same ground, expected overlapping views");
+  if (common.empty()) throw Error("no two images see the same ground, expected overlapping views");
   return common;
 }
+
+Ground common_ground(const scene::Scene& scene) { return scene::bounds_of(common_outline(scene)); }
 
 Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step) {
   const double columns = ground.width() / step, rows = ground.height() / step;
@@ -202,6 +204,14 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   plan.tiles = plan.whole_images || options.grid
                    ? std::vector<Ground>{ground}
                    : tiles_of(ground, tile_side(plan.window.height, cameras, scene.z_range.span()));
+
+  for (const Ground& tile : plan.tiles)
+    plan.middles.push_back({0.5 * (tile.x0 + tile.x1), 0.5 * (tile.y0 + tile.y1), z});
+  if (given && !options.places.empty()) {
+    plan.tiles.clear(), plan.middles.clear();
+    for (const WindowPlace& place : options.places)
+      plan.tiles.push_back(place.answers), plan.middles.push_back(place.middle);
+  }
 
   const double step = options.resolution > 0 ? options.resolution : natural_step(footprint);
   const Grid grid = options.grid.value_or(grid_of(ground, scene.frame, step));

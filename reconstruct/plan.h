@@ -48,6 +48,12 @@ struct Grid {
   }
 };
 
+/// Where a window of the network is.
+struct WindowPlace {
+  Ground answers;                  ///< whose surfels it gives, if there are other windows
+  std::array<double, 3> middle{};  ///< of the window, local m
+};
+
 /// Largest side of an image that goes through the network as a whole, px.
 inline constexpr Index kWholeImage = 1280;
 
@@ -58,9 +64,10 @@ struct ReconstructOptions {
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;
-  /// The cells to make, in one window of this size; none: those of the views' common ground.
+  /// The cells to make, in windows of this size; none: those of the views' common ground.
   std::optional<Grid> grid;
   scene::WindowSize window{};
+  std::vector<WindowPlace> places;  ///< of those windows; none: one around the middle of the cells
   /// Says of cells, [H W], which lie on ground that is not wanted, by 1: they stay unknown, have no
   /// surfels, and their heights do not count where the range is narrowed. May be empty.
   std::function<Tensor(const Grid&)> unwanted;
@@ -82,15 +89,16 @@ nn::Wanted wanted_of(Surface surface);
 
 /// What `reconstruct` is going to do.
 struct ReconstructPlan {
-  Ground ground;                ///< that two views see
-  double east = 0, north = 0;   ///< upper-left corner of the DSM, local m
-  double step = 0;              ///< its cell, m
-  double voxel = 0;             ///< of the mesh, m; 0 without one
-  Index height = 0, width = 0;  ///< its cells
-  scene::WindowSize window;     ///< of the network, px
-  std::vector<Ground> tiles;    ///< what each window answers for
-  bool whole_images = false;    ///< the one window of a view holds its whole image
-  double memory_bytes = 0;      ///< of the whole program, within a tenth
+  Ground ground;                               ///< that two views see
+  double east = 0, north = 0;                  ///< upper-left corner of the DSM, local m
+  double step = 0;                             ///< its cell, m
+  double voxel = 0;                            ///< of the mesh, m; 0 without one
+  Index height = 0, width = 0;                 ///< its cells
+  scene::WindowSize window;                    ///< of the network, px
+  std::vector<Ground> tiles;                   ///< what each window answers for
+  std::vector<std::array<double, 3>> middles;  ///< of each window, local m
+  bool whole_images = false;                   ///< the one window of a view holds its whole image
+  double memory_bytes = 0;                     ///< of the whole program, within a tenth
   /// Tensors of the network's parts, then of "surface", each within a tenth.
   std::vector<nn::PartMemory> memory;
 };
@@ -109,8 +117,11 @@ struct WorkMemory {
 };
 WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surface surface);
 
-/// What at least two views show in the middle of the range of heights, to a hundredth of its side.
+/// Around what at least two views show in the middle of the range of heights, to a hundredth of its
+/// side.
 /// throws  Error if there is no such ground
+scene::Polygon common_outline(const scene::Scene& scene);
+/// The bounds of that.
 Ground common_ground(const scene::Scene& scene);
 /// The cells of a ground: they start at a whole multiple of their side, so that runs over one place share them.
 /// throws  Error for 2^31 cells a side or more

@@ -16,6 +16,7 @@
 #include "satsurf/splat/view.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
 #include <optional>
@@ -45,13 +46,13 @@ double worst_fit(const nn::NetworkInput& input) {
   return worst;
 }
 
-/// One window of every view around the middle of a tile.
-scene::Crop window_of(const scene::Scene& scene, const ReconstructPlan& plan, const Ground& tile) {
+/// One window of every view.
+scene::Crop window_of(const scene::Scene& scene, const ReconstructPlan& plan,
+                      const std::array<double, 3>& middle) {
   std::vector<Index> sources(scene.views.size());
   std::iota(sources.begin(), sources.end(), Index{0});
   return scene::make_crop(scene, {.sources = std::move(sources),
-                                  .centre = {0.5 * (tile.x0 + tile.x1), 0.5 * (tile.y0 + tile.y1),
-                                             scene.z_range.middle()},
+                                  .centre = middle,
                                   .size = plan.window,
                                   .z_range = scene.z_range});
 }
@@ -197,7 +198,7 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
                          static_cast<double>(t) / static_cast<double>(plan.tiles.size()));
     };
     poll();
-    const scene::Crop crop = window_of(scene, plan, plan.tiles[t]);
+    const scene::Crop crop = window_of(scene, plan, plan.middles[t]);
     out.camera_fit_max_px = std::max(out.camera_fit_max_px, worst_fit(crop.input));
     std::vector<nn::PartMemory> memory;
     const auto stages = model.forward(crop.input, poll, &memory, wanted_of(surface));

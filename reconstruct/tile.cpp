@@ -14,14 +14,17 @@ namespace satsurf::reconstruct {
 namespace {
 
 /// Whether two views show any of some points spread over a tile.
-bool shown_by_two(const scene::Scene& scene, const Ground& ground) {
+bool shown_by_two(const scene::Scene& scene, const scene::Polygon& ground) {
   constexpr int kTried = 48;  // a side
+  const Ground box = scene::bounds_of(ground);
   for (int i = 0; i < kTried; ++i)
-    for (int j = 0; j < kTried; ++j)
-      if (views_showing(scene, {ground.x0 + (j + 0.5) / kTried * ground.width(),
-                                ground.y0 + (i + 0.5) / kTried * ground.height(),
-                                scene.z_range.middle()}) >= 2)
+    for (int j = 0; j < kTried; ++j) {
+      const double x = box.x0 + (j + 0.5) / kTried * box.width(),
+                   y = box.y0 + (i + 0.5) / kTried * box.height();
+      if (scene::contains(ground, x, y) &&
+          views_showing(scene, {x, y, scene.z_range.middle()}) >= 2)
         return true;
+    }
   return false;
 }
 
@@ -37,14 +40,70 @@ Tensor part_of(const Tensor& whole, Index y0, Index x0, Index h, Index w) {
   return out;
 }
 
-/// The surfels whose centres lie over a ground.
-splat::Surfels over(const splat::Surfels& surfels, const Ground& ground) {
+/// The surfels whose centres lie over what a tile answers for.
+splat::Surfels over(const splat::Surfels& surfels, const Tiling& tiling, const Tile& tile) {
   const Tensor& means = surfels.means.value();
   std::vector<Index> keep;
   for (Index i = 0; i < means.dim(0); ++i)
-    if (ground.contains(static_cast<double>(means[3 * i]), static_cast<double>(means[3 * i + 1])))
+    if (tiling.owns_place(tile, static_cast<double>(means[3 * i]),
+                          static_cast<double>(means[3 * i + 1])))
       keep.push_back(i);
   return keep.empty() ? splat::Surfels{} : splat::selected(surfels, keep);
+}
+
+/// Says of the cells of a tile's core which are not made, by 1: those that others answer for and
+/// those on ground that is not wanted.
+Tensor not_made(const Tiling& tiling, const Tile& tile, const Tensor& unwanted) {
+  const Index w = tile.core.width();
+  Tensor out({tile.core.height(), w});
+  for (Index i = 0; i < out.count(); ++i)
+    if (!tiling.owns(tile, tile.core.x0 + i % w, tile.core.y0 + i / w) ||
+        (!unwanted.empty() && unwanted[i] > 0))
+      out[i] = 1;
+  return out;
+}
+
+/// The windows in which views show some ground at all heights of the scene's range.
+struct Windows {
+  scene::WindowSize size;
+  std::vector<WindowPlace> places;
+};
+
+/// One where it is small enough, else as few as are, side by side.
+/// margin  by which each shows more than it answers for, m
+/// most    px a side
+Windows windows_for(const scene::Scene& scene, const scene::Polygon& ground, double margin,
+                    Index most, Index multiple) {
+  constexpr Index kUnlimited = 1 << 20;  // px
+  constexpr Index kMostParts = 4;        // beyond, the middle of the ground has to do
+  const Ground box = scene::bounds_of(ground);
+  Windows out;
+  for (Index parts = 1; parts <= kMostParts; ++parts)
+    for (Index columns = 1; columns <= parts; ++columns) {
+      if (parts % columns != 0) continue;
+      const Index rows = parts / columns;
+      out = {};
+      for (Index k = 0; k < parts; ++k) {
+        const auto part = [](double from, double to, Index of, Index at) {
+          return from + (to - from) * static_cast<double>(at) / static_cast<double>(of);
+        };
+        const Ground answers{part(box.x0, box.x1, columns, k % columns),
+                             part(box.y0, box.y1, rows, k / columns),
+                             part(box.x0, box.x1, columns, k % columns + 1),
+                             part(box.y0, box.y1, rows, k / columns + 1)};
+        const scene::Polygon shown =
+            scene::intersect(ground, scene::corners_of({answers.x0 - margin, answers.y0 - margin,
+                                                        answers.x1 + margin, answers.y1 + margin}));
+        if (shown.empty()) continue;
+        const scene::GroundWindow window = scene::least_window(scene, shown, kUnlimited, multiple);
+        out.size = {std::max(out.size.height, window.size.height),
+                    std::max(out.size.width, window.size.width)};
+        out.places.push_back({answers, window.middle});
+      }
+      if (out.size.height <= most && out.size.width <= most) return out;
+    }
+  const scene::GroundWindow window = scene::least_window(scene, ground, most, multiple);
+  return {window.size, {{box, window.middle}}};
 }
 
 }  // namespace
@@ -54,10 +113,11 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
                              const ReconstructOptions& options) {
   TileSurface out;
   const Grid grid = tiling.grid_of(tile.all), core = tiling.grid_of(tile.core);
-  if (part.scene.views.size() < 2 || !shown_by_two(part.scene, grid.ground())) return out;
-  const Tensor unwanted = options.unwanted ? options.unwanted(core) : Tensor();
-  if (!unwanted.empty() && std::ranges::all_of(unwanted.values(), [](float v) { return v > 0; }))
-    return out;
+  const scene::Polygon ground = tiling.ground_of(tile);
+  if (part.scene.views.size() < 2 || !shown_by_two(part.scene, ground)) return out;
+  const Tensor unmade =
+      not_made(tiling, tile, options.unwanted ? options.unwanted(core) : Tensor());
+  if (std::ranges::all_of(unmade.values(), [](float v) { return v > 0; })) return out;
   const NoGrad no_grad;
   scene::Scene scene = part.scene;
   scene.z_range = narrowed_range(
@@ -68,8 +128,9 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
       options.unwanted);
   ReconstructOptions how = options;
   how.grid = grid, how.narrow = false, how.mesh = {};
-  how.window =
-      scene::window_around(scene, grid.ground(), tiling.window, nn::size_multiple(model.config()));
+  Windows windows = windows_for(scene, ground, static_cast<double>(tiling.overlap) * grid.step,
+                                tiling.window, nn::size_multiple(model.config()));
+  how.window = windows.size, how.places = std::move(windows.places);
   Reconstruction made = reconstruct(model, scene, how);
 
   out.empty = false;
@@ -85,9 +146,9 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
   if (!ortho.empty()) out.ortho = part_of(ortho, y0, x0, h, w);
   const CellCount cells =
       count_cells({part_of(made.dsm.z, y0, x0, h, w), core.east, core.north, core.step},
-                  made.images, scene.z_range.middle(), unwanted);
+                  made.images, scene.z_range.middle(), unmade);
   out.found = cells.found, out.expected = cells.expected;
-  out.surfels = over(made.surfels, core.ground());
+  out.surfels = over(made.surfels, tiling, tile);
   out.heights = std::move(made.dsm.z);
   out.confidence = std::move(made.confidence);
   out.sigma = std::move(made.sigma);

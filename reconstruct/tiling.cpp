@@ -3,11 +3,13 @@
 
 #include "satsurf/core/error.h"
 #include "satsurf/core/memory.h"
+#include "satsurf/reconstruct/narrow.h"
 #include "satsurf/rpc/fit.h"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numbers>
 #include <string>
 
 namespace satsurf::reconstruct {
@@ -15,13 +17,15 @@ namespace {
 
 constexpr Index kOverlap = 32;  // cells; twice as many blend two neighbours
 constexpr Index kSlack = 8;     // px of a window for rounding and interpolation
-constexpr double kLocal = 0.2;  // of a window, for the parallax of a tile's heights
+constexpr double kLocal = 0.2;  // of a window at most, for the parallax of a tile's heights
+constexpr double kWider = 1.2;  // the range of a tile, of what the hypotheses span
 constexpr double kMostTiles = 1e6;
 constexpr Index kLeastWindow = 256;  // px; below, hardly anything is left between the overlaps
 
 /// What the program takes beside one tile's work: the reduced copies, the windows of the next tile
 /// that are read meanwhile, and the blocks that the readers keep.
-double memory_around(const ImageSizes& images, Index window) {
+/// window  pixels
+double memory_around(const ImageSizes& images, double window) {
   constexpr double kBlocks = 128e6, kStored = 3;  // bytes, bytes a pixel
   constexpr double kCopy = 2048, kCopied = 20;    // px, bytes a pixel
   constexpr double kAhead = 40;                   // bytes a pixel
@@ -30,21 +34,31 @@ double memory_around(const ImageSizes& images, Index window) {
                surveyed = static_cast<double>(std::max(images.views, images.surveyed)),
                side = static_cast<double>(images.largest);
   return std::min(kBlocks, surveyed * kStored * square(side)) +
-         surveyed * kCopied * square(std::min(side, kCopy)) +
-         views * kAhead * square(static_cast<double>(window));
+         surveyed * kCopied * square(std::min(side, kCopy)) + views * kAhead * window;
 }
 
-double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images, Index window,
-                      Surface surface) {
+/// window  of every view, px
+/// cells   of the surface
+double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images,
+                      const scene::WindowSize& window, Surface surface, double cells) {
   constexpr double kRepeated = 1.08;  // gaps between the tensors of tiles of different sizes
-  const double area = static_cast<double>(window) * static_cast<double>(window);
+  const auto area = static_cast<double>(window.count());
   const WorkMemory work = work_memory(model,
                                       {.views = images.views,
-                                       .window = {window, window},
+                                       .window = window,
                                        .pixels = static_cast<double>(images.views) * area,
-                                       .cells = area},
+                                       .cells = cells},
                                       surface);
-  return kRepeated * (memory_around(images, window) + work.bytes);
+  return kRepeated * (memory_around(images, area) + work.bytes);
+}
+
+/// The same of a square window.
+/// cells  for each of its pixels
+double memory_of_square(const nn::ModelConfig& model, const ImageSizes& images, Index side,
+                        Surface surface, double cells) {
+  const scene::WindowSize window{side, side};
+  return memory_of_tile(model, images, window, surface,
+                        cells * static_cast<double>(window.count()));
 }
 
 /// What blending one row of tiles takes.
@@ -53,11 +67,8 @@ double memory_of_rows(const Tiling& tiling, bool colour) {
   Index tallest = 0;
   for (const Tile& tile : tiling.tiles) tallest = std::max(tallest, tile.all.height());
   return 300e6 + sizeof(float) * planes * static_cast<double>(tiling.grid.width) *
-                     static_cast<double>(tallest + 2 * tiling.overlap);
+                     static_cast<double>(tallest);
 }
-
-/// Where the parts of a side begin and end.
-Index boundary(Index cells, Index parts, Index k) { return cells * k / parts; }
 
 /// One axis of a view's window: pixels along it that a column and a row of the surface's cells take,
 /// and how many of them cells may take, the rest being for the heights.
@@ -71,6 +82,34 @@ std::size_t upright_row(const rpc::PixelJacobian& camera) {
   return std::abs(camera[1][1]) >= std::abs(camera[0][1]) ? 1 : 0;
 }
 
+/// How tiles along some axes would be cut, of what is seen of a grid.
+struct Cut {
+  TileAxes axes;
+  std::array<Index, 2> begin{}, end{};  ///< of all tiles, along both axes, cells
+  Index columns = 1, rows = 0;
+  double cost = INFINITY;  ///< pixels of the windows of one view, and what cells beside tiles take
+
+  /// Where the parts of a side begin and end.
+  double boundary(std::size_t axis, Index k) const {
+    const Index side = end[axis] - begin[axis], parts = axis == 0 ? columns : rows;
+    return axes.sine == 0 ? static_cast<double>(begin[axis] + side * k / parts)
+                          : static_cast<double>(begin[axis]) + static_cast<double>(side) *
+                                                                   static_cast<double>(k) /
+                                                                   static_cast<double>(parts);
+  }
+  /// Of the upright rectangle around a tile and what it shares.
+  double cells_of_tile(Index overlap) const {
+    std::array<double, 2> side{};
+    for (std::size_t k = 0; k < 2; ++k) {
+      const Index parts = k == 0 ? columns : rows;
+      side[k] = static_cast<double>(end[k] - begin[k]) / static_cast<double>(parts) +
+                static_cast<double>(parts > 1 ? 2 * overlap : 0);
+    }
+    const double c = std::abs(axes.cosine), t = std::abs(axes.sine);
+    return (c * side[0] + t * side[1]) * (t * side[0] + c * side[1]);
+  }
+};
+
 /// Parts of a side whose cores leave room for the overlap.
 /// most  cells of a part
 Index parts_of(Index cells, double most, Index overlap) {
@@ -82,61 +121,116 @@ Index parts_of(Index cells, double most, Index overlap) {
   return (cells + core - 1) / core;
 }
 
+/// What tiles are cut for.
+struct CutRules {
+  Grid grid;
+  const std::vector<rpc::PixelJacobian>& cameras;  ///< of the views, in the middle of the ground
+  const scene::Polygon& seen;                      ///< of the ground, local m
+  double z_span = 0;                               ///< of the heights, m
+  Index overlap = 0;                               ///< cells
+  Index window = 0, multiple = 1;  ///< largest side of windows, what theirs are multiples of, px
+
+  /// The axes of all windows when tiles lie along `axes`.
+  std::vector<Axis> window_axes(const TileAxes& axes) const {
+    const auto S = static_cast<double>(window - kSlack);
+    std::vector<Axis> out;
+    for (const rpc::PixelJacobian& camera : cameras)
+      for (std::size_t k = 0; k < 2; ++k) {
+        const auto [east, north, up] = camera[k];
+        const auto [column, row] = axes.along(east, -north);
+        out.push_back({std::abs(column) * grid.step, std::abs(row) * grid.step,
+                       std::max(S - std::abs(up) * z_span, (1 - kLocal) * S),
+                       k == upright_row(camera)});
+      }
+    return out;
+  }
+};
+
 /// The columns and rows of tiles that need the fewest pixels of windows. Tiles are the longer, the
 /// less of the window the heights take along them.
-/// window    px
-/// multiple  of what windows are, px
-std::array<Index, 2> best_cut(const Grid& grid, Index overlap, const std::vector<Axis>& axes,
-                              Index window, Index multiple) {
+Cut best_cut(const CutRules& rules, const TileAxes& turned) {
+  // Of the time of a tile; the surface is made of the upright rectangle around it.
+  constexpr double kSurface = 0.2;
+  constexpr Index kTried = 64;  // numbers of columns, for each multiple of the fewest
+  Cut best{.axes = turned};
+  if (turned.sine == 0) {
+    best.end = {rules.grid.width, rules.grid.height};
+  } else {
+    std::array<double, 2> least{INFINITY, INFINITY}, most{-INFINITY, -INFINITY};
+    for (const auto& [x, y] : rules.seen) {
+      const auto at = turned.along((x - rules.grid.east) / rules.grid.step,
+                                   (rules.grid.north - y) / rules.grid.step);
+      for (std::size_t k = 0; k < 2; ++k)
+        least[k] = std::min(least[k], at[k]), most[k] = std::max(most[k], at[k]);
+    }
+    for (std::size_t k = 0; k < 2; ++k)
+      best.begin[k] = static_cast<Index>(std::floor(least[k])),
+      best.end[k] = static_cast<Index>(std::ceil(most[k]));
+  }
+  const std::vector<Axis> axes = rules.window_axes(turned);
+  const Index wide_cells = best.end[0] - best.begin[0], high_cells = best.end[1] - best.begin[1],
+              overlap = rules.overlap;
   const auto cells_of = [&](Index side, Index parts) {
     return static_cast<double>(side) / static_cast<double>(parts) +
            static_cast<double>(parts > 1 ? 2 * overlap : 0);
   };
   double widest = INFINITY;
   for (const Axis& axis : axes) widest = std::min(widest, axis.room / axis.column);
-  const Index first = parts_of(grid.width, widest, overlap);
-  std::array<Index, 2> best{first, 0};
-  double least = INFINITY;
-  for (Index columns = first; columns <= 4 * first + 4; ++columns) {
-    const double wide = cells_of(grid.width, columns);
+  const Index first = parts_of(wide_cells, widest, overlap);
+  const Index step = std::max<Index>(1, first / kTried);
+  for (Index columns = first; columns <= 4 * first + 4; columns += step) {
+    const double wide = cells_of(wide_cells, columns);
     double highest = INFINITY;
     for (const Axis& axis : axes)
       highest = std::min(highest, (axis.room - axis.column * wide) / axis.row);
-    const Index rows = parts_of(grid.height, highest, overlap);
-    const double high = cells_of(grid.height, rows);
+    const Index rows = parts_of(high_cells, highest, overlap);
+    const double high = cells_of(high_cells, rows);
     std::array<double, 2> side{};
     for (const Axis& axis : axes) {
       double& of = side[axis.upright ? 1 : 0];
-      of = std::max(of,
-                    axis.column * wide + axis.row * high + static_cast<double>(window) - axis.room);
+      of = std::max(
+          of, axis.column * wide + axis.row * high + static_cast<double>(rules.window) - axis.room);
     }
-    const double of = static_cast<double>(multiple);
+    const double of = static_cast<double>(rules.multiple);
     const double cost = static_cast<double>(columns) * static_cast<double>(rows) *
-                        std::ceil(side[0] / of) * std::ceil(side[1] / of);
-    if (cost < least || best[1] == 0) least = cost, best = {columns, rows};
-    if (2 * overlap >= grid.width / columns || static_cast<double>(columns) > kMostTiles) break;
+                        std::ceil(side[0] / of) * std::ceil(side[1] / of) *
+                        (1 + kSurface * (turned.spread() - 1));
+    if (cost < best.cost || best.rows == 0)
+      best.cost = cost, best.columns = columns, best.rows = rows;
+    if (2 * overlap >= wide_cells / columns || static_cast<double>(columns) > kMostTiles) break;
   }
   return best;
 }
 
-/// Tiles of a grid in equal columns and rows.
+/// The best of all directions, or that of the grid where hardly any is better.
+Cut best_direction(const CutRules& rules) {
+  constexpr double kWorth = 0.95;
+  const Cut upright = best_cut(rules, {});
+  if (static_cast<double>(upright.columns) * static_cast<double>(upright.rows) > kMostTiles ||
+      rules.seen.empty())
+    return upright;
+  Cut best;
+  for (int degrees = -44; degrees <= 45; ++degrees)
+    if (const Cut cut = best_cut(rules, TileAxes::turned(degrees)); cut.cost < best.cost)
+      best = cut;
+  return best.cost < kWorth * upright.cost ? best : upright;
+}
+
+/// Tiles in equal columns and rows.
 /// throws  Error for more than anybody waits for
-void cut(Tiling& tiling, Index columns, Index rows) {
-  const Index W = tiling.grid.width, H = tiling.grid.height, m = tiling.overlap;
-  tiling.columns = columns, tiling.rows = rows;
+void cut(Tiling& tiling, const Cut& how) {
+  tiling.axes = how.axes, tiling.columns = how.columns, tiling.rows = how.rows;
   if (static_cast<double>(tiling.columns) * static_cast<double>(tiling.rows) > kMostTiles)
-    throw Error("a surface of " + std::to_string(W) + " x " + std::to_string(H) + " cells in " +
-                std::to_string(tiling.columns) + " x " + std::to_string(tiling.rows) +
+    throw Error("a surface of " + std::to_string(tiling.grid.width) + " x " +
+                std::to_string(tiling.grid.height) + " cells in " + std::to_string(tiling.columns) +
+                " x " + std::to_string(tiling.rows) +
                 " tiles, expected at most a million; wrong cameras?");
   for (Index r = 0; r < tiling.rows; ++r)
     for (Index c = 0; c < tiling.columns; ++c) {
-      const CellRect core{boundary(W, tiling.columns, c), boundary(H, tiling.rows, r),
-                          boundary(W, tiling.columns, c + 1), boundary(H, tiling.rows, r + 1)};
-      tiling.tiles.push_back({r,
-                              c,
-                              core,
-                              {std::max<Index>(0, core.x0 - m), std::max<Index>(0, core.y0 - m),
-                               std::min(W, core.x1 + m), std::min(H, core.y1 + m)}});
+      const Tile tile = tiling.tile(r, c, {how.boundary(0, c), how.boundary(1, r)},
+                                    {how.boundary(0, c + 1), how.boundary(1, r + 1)});
+      if (tile.core.width() <= 0 || tile.core.height() <= 0) continue;  // beside the grid
+      tiling.tiles.push_back(tile);
     }
 }
 
@@ -145,31 +239,60 @@ Ground common(const Ground& a, const Ground& b) {
   return {std::max(a.x0, b.x0), std::max(a.y0, b.y0), std::min(a.x1, b.x1), std::min(a.y1, b.y1)};
 }
 
-/// Pixels the network looks at, of the views that show a tile.
-double pixels_of(const scene::Survey& survey, const Tiling& tiling, const Tile& tile,
-                 const std::vector<rpc::PixelJacobian>& cameras, double z_span, Index multiple) {
+/// What the network is going to see of a tile.
+struct Look {
+  Index views = 0;
+  scene::WindowSize window;  ///< of each, px
+  double pixels() const {
+    return views < 2 ? 0 : static_cast<double>(views) * static_cast<double>(window.count());
+  }
+};
+
+/// If the heights of the tile are as far apart as is planned for.
+Look look_at(const scene::Survey& survey, const Tiling& tiling, const Tile& tile,
+             const std::vector<rpc::PixelJacobian>& cameras, double z_span, Index multiple) {
   const scene::Scene& scene = survey.user.scene;
-  const Ground ground = tiling.grid_of(tile.all).ground();
+  const scene::Polygon ground = tiling.ground_of(tile);
   Index views = 0;
   std::array<double, 2> side{};
   for (std::size_t i = 0; i < cameras.size(); ++i) {
-    if (!scene::window_of(survey.views[i], scene.frame, ground, scene.z_range)) continue;
+    const auto window = scene::window_of(survey.views[i], scene.frame, ground, scene.z_range);
+    if (!window) continue;
     ++views;
     for (std::size_t k = 0; k < 2; ++k) {
       const auto& row = cameras[i][k];
+      double low = INFINITY, high = -INFINITY;
+      for (const auto& [x, y] : ground) {
+        const double at = row[0] * x + row[1] * y;
+        low = std::min(low, at), high = std::max(high, at);
+      }
       double& of = side[k == upright_row(cameras[i]) ? 1 : 0];
-      of = std::max(of, std::abs(row[0]) * ground.width() + std::abs(row[1]) * ground.height() +
-                            std::abs(row[2]) * z_span);
+      of = std::max(of, std::min(static_cast<double>(k == 0 ? window->width : window->height),
+                                 high - low + std::abs(row[2]) * z_span));
     }
   }
-  if (views < 2) return 0;
-  views = std::min(views, tiling.views);
-  const double most = static_cast<double>(tiling.window), of = static_cast<double>(multiple);
-  for (double& s : side) s = std::min(most, std::ceil((s + kSlack) / of) * of);
-  return static_cast<double>(views) * side[0] * side[1];
+  const auto rounded = [&](double px) {
+    return std::min(
+        tiling.window,
+        scene::rounded_up({static_cast<Index>(std::ceil(px + kSlack)), 1}, multiple).height);
+  };
+  return {std::min(views, tiling.views), {rounded(side[1]), rounded(side[0])}};
 }
 
 }  // namespace
+
+TileAxes TileAxes::turned(double degrees) {
+  if (degrees == 0) return {};
+  const double angle = degrees * std::numbers::pi / 180;
+  return {std::cos(angle), std::sin(angle)};
+}
+
+double TileAxes::degrees() const { return std::atan2(sine, cosine) * 180 / std::numbers::pi; }
+
+double TileAxes::spread() const {
+  const double side = std::abs(cosine) + std::abs(sine);
+  return side * side;
+}
 
 Grid Tiling::grid_of(const CellRect& cells) const {
   return {grid.east + static_cast<double>(cells.x0) * grid.step,
@@ -177,15 +300,82 @@ Grid Tiling::grid_of(const CellRect& cells) const {
           cells.width()};
 }
 
+Tile Tiling::tile(Index row, Index column, const std::array<double, 2>& begin,
+                  const std::array<double, 2>& end) const {
+  // The cells of the grid whose middles may lie in the rectangle.
+  const auto around = [&](double margin) {
+    double x0 = INFINITY, y0 = INFINITY, x1 = -INFINITY, y1 = -INFINITY;
+    for (const double u : {begin[0] - margin, end[0] + margin})
+      for (const double v : {begin[1] - margin, end[1] + margin}) {
+        const auto [x, y] = axes.place(u, v);
+        x0 = std::min(x0, x), y0 = std::min(y0, y), x1 = std::max(x1, x), y1 = std::max(y1, y);
+      }
+    const auto cell = [](double at, Index most) {
+      return static_cast<Index>(std::clamp(at, 0.0, static_cast<double>(most)));
+    };
+    return CellRect{cell(std::floor(x0), grid.width), cell(std::floor(y0), grid.height),
+                    cell(std::ceil(x1), grid.width), cell(std::ceil(y1), grid.height)};
+  };
+  return {row, column, around(0), around(static_cast<double>(overlap)), begin, end};
+}
+
+scene::Polygon Tiling::ground_of(const Tile& tile) const {
+  const Ground box = grid_of(tile.all).ground();
+  if (axes.sine == 0) return scene::corners_of(box);
+  const auto margin = static_cast<double>(overlap);
+  const double u0 = tile.begin[0] - margin, v0 = tile.begin[1] - margin, u1 = tile.end[0] + margin,
+               v1 = tile.end[1] + margin;
+  scene::Polygon corners;
+  for (const auto& [u, v] : {std::array{u0, v1}, {u1, v1}, {u1, v0}, {u0, v0}}) {
+    const auto [x, y] = axes.place(u, v);
+    corners.push_back({grid.east + x * grid.step, grid.north - y * grid.step});
+  }
+  return scene::intersect(corners, scene::corners_of(box));
+}
+
+namespace {
+
+bool holds(const Tile& tile, const std::array<double, 2>& at) {
+  return at[0] >= tile.begin[0] && at[0] < tile.end[0] && at[1] >= tile.begin[1] &&
+         at[1] < tile.end[1];
+}
+
+}  // namespace
+
+bool Tiling::owns(const Tile& tile, Index x, Index y) const {
+  return holds(tile, axes.along(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5));
+}
+
+bool Tiling::owns_place(const Tile& tile, double x, double y) const {
+  return holds(tile, axes.along((x - grid.east) / grid.step, (grid.north - y) / grid.step));
+}
+
+double Tiling::weight(const Tile& tile, Index x, Index y) const {
+  const auto at = axes.along(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5);
+  const auto ramp = [&](double from) {  // cells from where the other tile begins to fade
+    return std::clamp(from / (2 * static_cast<double>(overlap)), 0.0, 1.0);
+  };
+  // Beyond the outermost tiles nobody answers for anything.
+  const auto along = [&](std::size_t axis, Index part, Index parts) {
+    const auto margin = static_cast<double>(overlap);
+    const double before = at[axis] - tile.begin[axis], after = tile.end[axis] - at[axis];
+    const auto side = [&](double inside, bool outermost) {
+      return outermost || overlap == 0 ? (inside >= 0 ? 1.0 : 0.0) : ramp(inside + margin);
+    };
+    return std::min(side(before, part == 0), side(after, part + 1 == parts));
+  };
+  return along(1, tile.row, rows) * along(0, tile.column, columns);
+}
+
 Index window_for_memory(const nn::ModelConfig& model, const ImageSizes& images, Surface surface,
-                        double bytes) {
+                        double bytes, double cells) {
   const Index multiple = nn::size_multiple(model);
   const Index least = (kLeastWindow + multiple - 1) / multiple * multiple;
   if (!(bytes > 0)) return std::max(least, kWholeImage / multiple * multiple);
   Index window = std::max(least, kLargestWindow / multiple * multiple);
-  while (window > least && memory_of_tile(model, images, window, surface) > bytes)
+  while (window > least && memory_of_square(model, images, window, surface, cells) > bytes)
     window -= multiple;
-  const double needed = memory_of_tile(model, images, window, surface);
+  const double needed = memory_of_square(model, images, window, surface, cells);
   if (needed > bytes)
     throw ConfigError("max_memory: " + memory_text(bytes) + ", expected " +
                       std::to_string(static_cast<Index>(std::ceil(needed / 1e6))) +
@@ -199,8 +389,12 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
   const scene::Scene& scene = survey.user.scene;
   const auto surveyed = static_cast<Index>(survey.views.size());
   const Surface surface = surface_kind(options);
-  Ground ground = common_ground(scene);
-  if (wanted) ground = common(ground, *wanted);
+  scene::Polygon seen = common_outline(scene);
+  Ground ground = scene::bounds_of(seen);
+  if (wanted) {
+    ground = common(ground, *wanted);
+    seen = scene::intersect(seen, scene::corners_of(*wanted));
+  }
   if (!(ground.width() > 0 && ground.height() > 0))
     throw Error(
         "the part of the ground that is wanted lies outside of what two images see, "
@@ -221,27 +415,42 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
   ImageSizes images{.views = out.views, .surveyed = surveyed};
   for (const scene::SurveyedView& view : survey.views)
     images.largest = std::max({images.largest, view.width, view.height});
-  out.window = window_for_memory(model, images, surface, max_memory);
 
-  const auto S = static_cast<double>(out.window - kSlack);
-  std::vector<Axis> axes;
-  for (const rpc::PixelJacobian& camera : cameras)
-    for (std::size_t k = 0; k < 2; ++k)
-      axes.push_back({std::abs(camera[k][0]) * out.grid.step,
-                      std::abs(camera[k][1]) * out.grid.step,
-                      std::max(S - std::abs(camera[k][2]) * scene.z_range.span(), (1 - kLocal) * S),
-                      k == upright_row(camera)});
-  const auto [columns, rows] =
-      best_cut(out.grid, out.overlap, axes, out.window, nn::size_multiple(model));
-  cut(out, columns, rows);
-  double local = 0;  // of the range what windows have room for
-  for (const rpc::PixelJacobian& camera : cameras)
-    for (const auto& row : camera) local = std::max(local, std::abs(row[2]));
-  const double span = std::min(scene.z_range.span(), kLocal * S / std::max(local, 1e-9));
-  for (const Tile& tile : out.tiles)
-    out.megapixels += 1e-6 * pixels_of(survey, out, tile, cameras, span, nn::size_multiple(model));
-  out.memory_bytes = std::max(memory_of_tile(model, images, out.window, surface),
-                              memory_of_rows(out, survey.colour));
+  // A tile's own range is hardly ever more than what the hypotheses span, or much more.
+  const double span = std::min(scene.z_range.span(), kWider * span_of_hypotheses(model, cameras));
+  CutRules rules{.grid = out.grid,
+                 .cameras = cameras,
+                 .seen = seen,
+                 .z_span = span,
+                 .overlap = out.overlap,
+                 .window = window_for_memory(model, images, surface, max_memory),
+                 .multiple = nn::size_multiple(model)};
+  Cut how = best_direction(rules);
+  // Cells of the surface for each pixel of a window.
+  const auto cells = [&] {
+    return how.cells_of_tile(out.overlap) /
+           (static_cast<double>(rules.window) * static_cast<double>(rules.window));
+  };
+  if (max_memory > 0) {
+    rules.window = window_for_memory(model, images, surface, max_memory, cells());
+    for (;; rules.window -= rules.multiple) {
+      how = best_cut(rules, how.axes);
+      if (rules.window <= kLeastWindow ||
+          memory_of_square(model, images, rules.window, surface, cells()) <= max_memory)
+        break;
+    }
+  }
+  out.window = rules.window;
+  cut(out, how);
+  for (const Tile& tile : out.tiles) {
+    const Look look = look_at(survey, out, tile, cameras, span, rules.multiple);
+    out.megapixels += 1e-6 * look.pixels();
+    const double bytes = memory_of_tile(
+        model, images, look.window, surface,
+        static_cast<double>(tile.all.width()) * static_cast<double>(tile.all.height()));
+    if (bytes > out.memory_bytes) out.memory_bytes = bytes, out.expected_window = look.window;
+  }
+  out.memory_bytes = std::max(out.memory_bytes, memory_of_rows(out, survey.colour));
   return out;
 }
 

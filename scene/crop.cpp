@@ -72,37 +72,80 @@ WindowSize largest_image(const Scene& scene, const rpc::Geodetic& where) {
   return most;
 }
 
-WindowSize window_around(const Scene& scene, const Ground& ground, Index most, Index multiple) {
+namespace {
+
+/// What a view shows of some ground, px; nothing that is not the image's.
+struct Shown {
+  double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY;
+  bool any() const { return left < right && top < bottom; }
+};
+
+rpc::Pixel pixel_of(const View& view, const rpc::LocalFrame& frame,
+                    const std::array<double, 3>& p) {
+  return view.rpc.project(frame.geodetic_from_local(p));
+}
+
+/// At all heights of the scene's range.
+Shown shown_by(const View& view, const Scene& scene, const Polygon& ground) {
+  Shown out;
+  for (const auto& [x, y] : ground)
+    for (const double z : {scene.z_range.low, scene.z_range.high}) {
+      const rpc::Pixel p = pixel_of(view, scene.frame, {x, y, z});
+      out.left = std::min(out.left, p.x), out.right = std::max(out.right, p.x);
+      out.top = std::min(out.top, p.y), out.bottom = std::max(out.bottom, p.y);
+    }
+  out.left = std::max(out.left, 0.0), out.top = std::max(out.top, 0.0);
+  out.right = std::min(out.right, static_cast<double>(view.width() - 1));
+  out.bottom = std::min(out.bottom, static_cast<double>(view.height() - 1));
+  return out;
+}
+
+}  // namespace
+
+WindowSize window_around(const Scene& scene, const Polygon& ground,
+                         const std::array<double, 3>& middle, Index most, Index multiple) {
   constexpr double kRim = 2;  // px on every side, for interpolation
   WindowSize needed(1, 1);
   for (const View& view : scene.views) {
-    const auto pixel = [&](double x, double y, double z) {
-      return view.rpc.project(scene.frame.geodetic_from_local({x, y, z}));
-    };
-    const std::array<double, 3> centre{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
-                                       scene.z_range.middle()};
-    const rpc::Pixel middle = pixel(centre[0], centre[1], centre[2]);
-    double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY;
-    for (const double x : {ground.x0, ground.x1})
-      for (const double y : {ground.y0, ground.y1})
-        for (const double z : {scene.z_range.low, scene.z_range.high}) {
-          const rpc::Pixel p = pixel(x, y, z);
-          left = std::min(left, p.x), right = std::max(right, p.x);
-          top = std::min(top, p.y), bottom = std::max(bottom, p.y);
-        }
-    left = std::max(left, 0.0), right = std::min(right, static_cast<double>(view.width() - 1));
-    top = std::max(top, 0.0), bottom = std::min(bottom, static_cast<double>(view.height() - 1));
-    if (!(left < right && top < bottom)) continue;
-    const double x = std::max({middle.x - left, right - middle.x, 0.0}),
-                 y = std::max({middle.y - top, bottom - middle.y, 0.0});
+    const rpc::Pixel centre = pixel_of(view, scene.frame, middle);
+    const Shown shown = shown_by(view, scene, ground);
+    if (!shown.any()) continue;
+    const double x = std::max({centre.x - shown.left, shown.right - centre.x, 0.0}),
+                 y = std::max({centre.y - shown.top, shown.bottom - centre.y, 0.0});
     if (!(std::max(x, y) < kFarthest)) continue;
     const WindowSize size =
         turned({static_cast<Index>(std::ceil(2 * (y + kRim))),
                 static_cast<Index>(std::ceil(2 * (x + kRim)))},
-               quarters_to_north(view.rpc, scene.frame.geodetic_from_local(centre)));
+               quarters_to_north(view.rpc, scene.frame.geodetic_from_local(middle)));
     needed = {std::max(needed.height, size.height), std::max(needed.width, size.width)};
   }
   return rounded_up({std::min(most, needed.height), std::min(most, needed.width)}, multiple);
+}
+
+WindowSize window_around(const Scene& scene, const Ground& ground, Index most, Index multiple) {
+  return window_around(
+      scene, corners_of(ground),
+      {0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1), scene.z_range.middle()}, most,
+      multiple);
+}
+
+GroundWindow least_window(const Scene& scene, const Polygon& ground, Index most, Index multiple) {
+  const Ground box = bounds_of(ground);
+  const double z = scene.z_range.middle();
+  std::vector<std::array<double, 3>> middles{{0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1), z}};
+  for (const View& view : scene.views) {
+    const Shown shown = shown_by(view, scene, ground);
+    if (!shown.any()) continue;
+    const auto p = scene.frame.local_from_geodetic(view.rpc.localize(
+        {0.5 * (shown.left + shown.right), 0.5 * (shown.top + shown.bottom)}, z + scene.frame.h0));
+    middles.push_back({p[0], p[1], z});
+  }
+  GroundWindow least;
+  for (const auto& middle : middles) {
+    const WindowSize size = window_around(scene, ground, middle, most, multiple);
+    if (least.size.count() == 0 || size.count() < least.size.count()) least = {size, middle};
+  }
+  return least;
 }
 
 Crop make_crop(const Scene& scene, const CropOptions& options) {

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/input.h"
-#include "satsurf/scene/ground.h"
+#include "satsurf/scene/polygon.h"
 #include "satsurf/scene/scene.h"
 
 #include <array>
@@ -31,11 +31,24 @@ WindowSize rounded_up(const WindowSize& size, Index multiple);
 /// Of the images as `quarters_to_north` turns them, the most rows and the most columns.
 /// where  a point that all of them show
 WindowSize largest_image(const Scene& scene, const rpc::Geodetic& where);
-/// The size, north up, of windows around the middle of some ground in which every view shows what
-/// it has of the ground, at all heights of the scene's range.
+/// The size, north up, of windows around a point in which every view shows what it has of some
+/// ground, at all heights of the scene's range.
+/// middle    in the middle of every window, local m
 /// most      pixels a side; of a larger window a view shows the middle alone
 /// multiple  that both sides are rounded up to, at least once
+WindowSize window_around(const Scene& scene, const Polygon& ground,
+                         const std::array<double, 3>& middle, Index most, Index multiple);
+/// The same around the middle of a rectangle of ground and of the range.
 WindowSize window_around(const Scene& scene, const Ground& ground, Index most, Index multiple);
+
+/// The windows of a part of the ground.
+struct GroundWindow {
+  WindowSize size;                 ///< north up
+  std::array<double, 3> middle{};  ///< that they are around, local m
+};
+/// The least of those around the middle of what each of the views shows of the ground.
+/// most, multiple  as `window_around`
+GroundWindow least_window(const Scene& scene, const Polygon& ground, Index most, Index multiple);
 
 /// A window of every chosen view around one ground point, ready for the network: sources are
 /// turned until north is up.

@@ -64,4 +64,39 @@ Polygon counter_clockwise(Polygon corners) {
   return corners;
 }
 
+Polygon convex_hull(std::vector<std::array<double, 2>> points) {
+  std::sort(points.begin(), points.end());
+  Polygon out;
+  // The lower half from west to east, then the upper one back.
+  for (int half = 0; half < 2; ++half) {
+    const std::size_t begin = out.size();
+    for (const auto& p : points) {
+      while (out.size() >= begin + 2 && cross(out[out.size() - 2], out.back(), p) <= 0)
+        out.pop_back();
+      out.push_back(p);
+    }
+    if (!out.empty()) out.pop_back();  // the other half begins with it
+    std::reverse(points.begin(), points.end());
+  }
+  if (out.size() < 3) out.clear();
+  return out;
+}
+
+Polygon corners_of(const Ground& g) {
+  return {{g.x0, g.y0}, {g.x1, g.y0}, {g.x1, g.y1}, {g.x0, g.y1}};
+}
+
+Ground bounds_of(const Polygon& polygon) {
+  Ground out{INFINITY, INFINITY, -INFINITY, -INFINITY};
+  for (const auto& [x, y] : polygon)
+    out = {std::min(out.x0, x), std::min(out.y0, y), std::max(out.x1, x), std::max(out.y1, y)};
+  return out;
+}
+
+bool contains(const Polygon& polygon, double x, double y) {
+  for (std::size_t i = 0; i < polygon.size(); ++i)
+    if (cross(polygon[i], polygon[(i + 1) % polygon.size()], {x, y}) < 0) return false;
+  return !polygon.empty();
+}
+
 }  // namespace satsurf::scene

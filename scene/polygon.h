@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/scene/ground.h"
+
 #include <array>
 #include <vector>
 
@@ -18,5 +20,14 @@ std::array<double, 2> polygon_centroid(const Polygon& polygon);
 Polygon intersect(const Polygon& a, const Polygon& b);
 /// The same polygon with its corners in that order, whichever way round they came.
 Polygon counter_clockwise(Polygon corners);
+/// The smallest one around some points; empty where they lie on a line.
+/// Source: Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions".
+Polygon convex_hull(std::vector<std::array<double, 2>> points);
+/// A rectangle as a polygon.
+Polygon corners_of(const Ground& ground);
+/// The smallest rectangle around a polygon.
+Ground bounds_of(const Polygon& polygon);
+/// Whether a point lies in it or on its rim.
+bool contains(const Polygon& polygon, double x, double y);
 
 }  // namespace satsurf::scene

@@ -283,19 +283,24 @@ Survey survey_views(const std::vector<fs::path>& files, const std::vector<fs::pa
 }
 
 std::optional<rpc::PixelWindow> window_of(const SurveyedView& view, const rpc::LocalFrame& frame,
-                                          const Ground& ground, const rpc::HeightRange& z_range) {
+                                          const Polygon& ground, const rpc::HeightRange& z_range) {
   double x0 = INFINITY, y0 = INFINITY, x1 = -INFINITY, y1 = -INFINITY;
-  for (const double x : {ground.x0, 0.5 * (ground.x0 + ground.x1), ground.x1})
-    for (const double y : {ground.y0, 0.5 * (ground.y0 + ground.y1), ground.y1})
-      for (const double z : {z_range.low, z_range.high}) {
-        const rpc::Pixel p = view.rpc.project(frame.geodetic_from_local({x, y, z}));
-        x0 = std::min(x0, p.x), y0 = std::min(y0, p.y);
-        x1 = std::max(x1, p.x), y1 = std::max(y1, p.y);
-      }
+  const auto show = [&](double x, double y) {
+    for (const double z : {z_range.low, z_range.high}) {
+      const rpc::Pixel p = view.rpc.project(frame.geodetic_from_local({x, y, z}));
+      x0 = std::min(x0, p.x), y0 = std::min(y0, p.y);
+      x1 = std::max(x1, p.x), y1 = std::max(y1, p.y);
+    }
+  };
+  for (std::size_t i = 0; i < ground.size(); ++i) {
+    const auto &a = ground[i], &b = ground[(i + 1) % ground.size()];
+    show(a[0], a[1]);
+    show(0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]));  // sides are not quite straight in an image
+  }
   return inside(view, x0 - kRim, y0 - kRim, x1 + kRim, y1 + kRim);
 }
 
-std::vector<std::size_t> views_of(const Survey& survey, const Ground& ground,
+std::vector<std::size_t> views_of(const Survey& survey, const Polygon& ground,
                                   const rpc::HeightRange& z_range) {
   constexpr int kTried = 16;  // a side
   const Scene& whole = survey.user.scene;
@@ -303,15 +308,21 @@ std::vector<std::size_t> views_of(const Survey& survey, const Ground& ground,
   for (std::size_t i = 0; i < survey.views.size(); ++i)
     if (window_of(survey.views[i], whole.frame, ground, z_range)) showing.push_back(i);
   if (showing.size() <= static_cast<std::size_t>(survey.most_views)) return showing;
+  const Ground box = bounds_of(ground);
+  std::vector<rpc::Geodetic> points;
+  for (int k = 0; k < kTried * kTried; ++k) {
+    const double x = box.x0 + (k % kTried + 0.5) / kTried * box.width(),
+                 y = box.y0 + (k / kTried + 0.5) / kTried * box.height();
+    if (contains(ground, x, y))
+      points.push_back(whole.frame.geodetic_from_local({x, y, z_range.middle()}));
+  }
   std::vector<View> views;
   std::vector<std::vector<char>> shows;
   for (const std::size_t i : showing) {
     views.push_back(whole.views[i]);  // shares the copy's pixels
-    auto& points = shows.emplace_back();
-    for (int k = 0; k < kTried * kTried; ++k)
-      points.push_back(static_cast<char>(whole.views[i].shows(whole.frame.geodetic_from_local(
-          {ground.x0 + (k % kTried + 0.5) / kTried * ground.width(),
-           ground.y0 + (k / kTried + 0.5) / kTried * ground.height(), z_range.middle()}))));
+    auto& seen = shows.emplace_back();
+    for (const rpc::Geodetic& p : points)
+      seen.push_back(static_cast<char>(whole.views[i].shows(p)));
   }
   std::vector<std::size_t> out;
   for (const Index k :
@@ -320,7 +331,7 @@ std::vector<std::size_t> views_of(const Survey& survey, const Ground& ground,
   return out;
 }
 
-WindowedScene read_windows(const Survey& survey, const Ground& ground,
+WindowedScene read_windows(const Survey& survey, const Polygon& ground,
                            const rpc::HeightRange& z_range) {
   const Scene& whole = survey.user.scene;
   WindowedScene out;

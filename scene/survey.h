@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include "satsurf/scene/ground.h"
+#include "satsurf/scene/polygon.h"
 #include "satsurf/scene/user_images.h"
 
 #include <cstddef>
@@ -44,13 +44,14 @@ Survey survey_views(const std::vector<std::filesystem::path>& files,
                     const std::optional<rpc::HeightRange>& wanted,
                     const std::function<void()>& poll = {}, const ViewRules& rules = {});
 
-/// The columns and rows of an image that show a box of ground, and a few more; nothing where those
-/// are fewer than 16 either way.
-/// z_range  of the box, local m
+/// The columns and rows of an image that show some ground, and a few more; nothing where those are
+/// fewer than 16 either way.
+/// ground   local m
+/// z_range  of its heights, local m
 std::optional<rpc::PixelWindow> window_of(const SurveyedView& view, const rpc::LocalFrame& frame,
-                                          const Ground& ground, const rpc::HeightRange& z_range);
+                                          const Polygon& ground, const rpc::HeightRange& z_range);
 
-/// A part of a scene: the views that show something of a box of ground, each as far as it does.
+/// A part of a scene: the views that show something of some ground, each as far as it does.
 struct WindowedScene {
   Scene scene;                     ///< in the frame of the whole
   std::vector<std::size_t> views;  ///< their numbers in the survey
@@ -61,11 +62,11 @@ struct WindowedScene {
 /// The views of a part of the ground: those that show something of it where there are no more than
 /// the survey's most, else the best of them by `choose_for_ground`.
 /// returns  their numbers, ascending
-std::vector<std::size_t> views_of(const Survey& survey, const Ground& ground,
+std::vector<std::size_t> views_of(const Survey& survey, const Polygon& ground,
                                   const rpc::HeightRange& z_range);
 /// Reads it. Views that are none of `views_of`, or whose window has no valid pixel are left out, so there may be none.
 /// throws  IoError
-WindowedScene read_windows(const Survey& survey, const Ground& ground,
+WindowedScene read_windows(const Survey& survey, const Polygon& ground,
                            const rpc::HeightRange& z_range);
 
 }  // namespace satsurf::scene

@@ -20,7 +20,7 @@ reconstruct::Tiling two_tiles() {
   reconstruct::Tiling out;
   out.grid = {100, 200, 0.5, 8, 12};
   out.columns = 2, out.overlap = 2;
-  out.tiles = {{0, 0, {0, 0, 6, 8}, {0, 0, 8, 8}}, {0, 1, {6, 0, 12, 8}, {4, 0, 12, 8}}};
+  out.tiles = {out.tile(0, 0, {0, 0}, {6, 8}), out.tile(0, 1, {6, 0}, {12, 8})};
   return out;
 }
 

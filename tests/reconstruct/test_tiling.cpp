@@ -52,12 +52,53 @@ Tiling by_hand(Index height, Index width, Index core, Index overlap) {
   out.rows = height / core, out.columns = width / core;
   for (Index r = 0; r < out.rows; ++r)
     for (Index c = 0; c < out.columns; ++c) {
-      const CellRect k{c * core, r * core, (c + 1) * core, (r + 1) * core};
-      out.tiles.push_back({r,
-                           c,
-                           k,
-                           {std::max<Index>(0, k.x0 - overlap), std::max<Index>(0, k.y0 - overlap),
-                            std::min(width, k.x1 + overlap), std::min(height, k.y1 + overlap)}});
+      const auto at = [&](Index part) { return static_cast<double>(part * core); };
+      out.tiles.push_back(out.tile(r, c, {at(c), at(r)}, {at(c + 1), at(r + 1)}));
+    }
+  return out;
+}
+
+/// A straight camera as a given one is in the middle of its image, turned about that on the ground.
+/// degrees  clockwise
+rpc::Rpc straight_and_turned(const rpc::Rpc& camera, double side, double height, double degrees) {
+  const rpc::Geodetic middle = camera.localize({side / 2, side / 2}, height);
+  const rpc::PixelJacobian j = camera.jacobian(middle);
+  const TileAxes axes = TileAxes::turned(degrees);
+  rpc::Rpc out;
+  out.lon_off = middle.lon, out.lat_off = middle.lat, out.height_off = middle.h;
+  out.lon_scale = out.lat_scale = 0.01, out.height_scale = 500;
+  out.samp_off = out.line_off = side / 2;
+  out.samp_den[0] = out.line_den[0] = 1;
+  const std::array<double, 3> scale{out.lon_scale, out.lat_scale, out.height_scale};
+  for (std::size_t k = 0; k < 3; ++k) {
+    const auto at = axes.along(j[0][k] * scale[k], j[1][k] * scale[k]);
+    out.samp_num[1 + k] = at[0], out.line_num[1 + k] = at[1];
+  }
+  return out;
+}
+
+/// How many tiles answer for each cell.
+std::vector<int> owners_of(const Tiling& tiling) {
+  const Index W = tiling.grid.width;
+  std::vector<int> out(static_cast<std::size_t>(tiling.grid.height * W), 0);
+  for (const Tile& tile : tiling.tiles)
+    for (Index y = tile.core.y0; y < tile.core.y1; ++y)
+      for (Index x = tile.core.x0; x < tile.core.x1; ++x)
+        out[static_cast<std::size_t>(y * W + x)] += tiling.owns(tile, x, y) ? 1 : 0;
+  return out;
+}
+
+/// Turned tiles by hand, of which the grid has the middle.
+Tiling turned_by_hand(double degrees) {
+  Tiling out;
+  out.grid = {-20, 35, 1, 60, 50};
+  out.axes = TileAxes::turned(degrees);
+  out.overlap = 4, out.rows = 6, out.columns = 6;
+  for (Index r = 0; r < 6; ++r)
+    for (Index c = 0; c < 6; ++c) {
+      const double u = -60 + 30 * static_cast<double>(c), v = -60 + 30 * static_cast<double>(r);
+      const Tile tile = out.tile(r, c, {u, v}, {u + 30, v + 30});
+      if (tile.all.width() > 0 && tile.all.height() > 0) out.tiles.push_back(tile);
     }
   return out;
 }
@@ -68,33 +109,39 @@ Tensor blended(const Tiling& tiling, const F& value) {
   FeatheredRows rows(tiling);
   Tensor out({tiling.grid.height, tiling.grid.width});
   Index y0 = 0;
-  for (Index r = 0; r < tiling.rows; ++r) {
-    for (Index c = 0; c < tiling.columns; ++c) {
-      const Tile& tile = tiling.tiles[static_cast<std::size_t>(r * tiling.columns + c)];
-      Tensor part({tile.all.height(), tile.all.width()});
-      for (Index i = 0; i < part.count(); ++i)
-        part[i] =
-            value(tile, tile.all.y0 + i / tile.all.width(), tile.all.x0 + i % tile.all.width());
-      rows.add(tile, part);
-    }
-    const Tensor done = rows.finished(r);
+  const auto take = [&](Index end) {
+    const Tensor done = rows.finished(end);
+    REQUIRE(done.dim(0) == end - y0);
     std::copy_n(done.data(), done.count(), out.data() + y0 * tiling.grid.width);
-    y0 += done.dim(0);
+    y0 = end;
+  };
+  for (const std::size_t k : assembly_order(tiling)) {
+    const Tile& tile = tiling.tiles[k];
+    if (tile.all.y0 > y0) take(tile.all.y0);
+    Tensor part({tile.all.height(), tile.all.width()});
+    for (Index i = 0; i < part.count(); ++i)
+      part[i] = value(tile, tile.all.y0 + i / tile.all.width(), tile.all.x0 + i % tile.all.width());
+    rows.add(tile, part);
   }
-  CHECK(y0 == tiling.grid.height);
+  take(tiling.grid.height);
   return out;
 }
 
 }  // namespace
 
 TEST_CASE("the weights of two neighbours add up to one, and the rim of the grid keeps its own") {
-  for (Index cell = 0; cell < 40; ++cell) {
-    CAPTURE(cell);
-    const double west = cell < 24 ? feather(cell, 0, 20, 40, 4) : 0,
-                 east = cell >= 16 ? feather(cell, 20, 40, 40, 4) : 0;
+  const Tiling tiling = by_hand(20, 40, 20, 4);
+  const Tile &a = tiling.tiles[0], &b = tiling.tiles[1];
+  CHECK(a.all == CellRect{0, 0, 24, 20});
+  CHECK(b.all == CellRect{16, 0, 40, 20});
+  for (Index x = 0; x < 40; ++x) {
+    CAPTURE(x);
+    const double west = tiling.weight(a, x, 7), east = tiling.weight(b, x, 7);
     CHECK(west + east == doctest::Approx(1));
     CHECK(west >= 0);
-    if (cell > 0 && cell < 24) CHECK(west <= feather(cell - 1, 0, 20, 40, 4));
+    if (x > 0) CHECK(west <= tiling.weight(a, x - 1, 7));
+    CHECK((west > 0) == (x < 24));
+    CHECK((west == 1) == (x < 16));
   }
 }
 
@@ -112,6 +159,95 @@ TEST_CASE("blending tiles of one surface gives that surface, of two the way betw
   CHECK(step[30 * 40 + 24] == 1);
   for (Index x = 16; x < 24; ++x)
     CHECK(step[30 * 40 + x] == doctest::Approx((static_cast<double>(x - 16) + 0.5) / 8));
+}
+
+TEST_CASE("turned tiles answer for every cell once, and blend into one surface") {
+  for (const double degrees : {-44.0, -17.5, 3.0, 45.0}) {
+    CAPTURE(degrees);
+    const Tiling tiling = turned_by_hand(degrees);
+    CHECK(tiling.axes.degrees() == doctest::Approx(degrees));
+    REQUIRE(tiling.tiles.size() >= 4);
+    for (const int n : owners_of(tiling)) REQUIRE(n == 1);
+    const auto surface = [](Index y, Index x) {
+      return 0.3f * static_cast<float>(x) + std::sin(0.2f * static_cast<float>(y));
+    };
+    const Tensor same =
+        blended(tiling, [&](const Tile&, Index y, Index x) { return surface(y, x); });
+    for (Index i = 0; i < same.count(); ++i)
+      REQUIRE(same[i] == doctest::Approx(surface(i / 50, i % 50)).epsilon(1e-5));
+    for (Index y = 0; y < 60; ++y)
+      for (Index x = 0; x < 50; ++x) {
+        double sum = 0;
+        for (const Tile& tile : tiling.tiles)
+          if (x >= tile.all.x0 && x < tile.all.x1 && y >= tile.all.y0 && y < tile.all.y1)
+            sum += tiling.weight(tile, x, y);
+        REQUIRE(sum == doctest::Approx(1));
+      }
+  }
+}
+
+TEST_CASE("what tiles own alone comes from the tile that owns it, rows that are given back once") {
+  for (const double degrees : {0.0, -17.5}) {
+    CAPTURE(degrees);
+    const Tiling tiling = turned_by_hand(degrees);
+    OwnedRows rows(tiling, 2);
+    Tensor out({2, 60, 50});
+    Index y0 = 0;
+    const auto take = [&](Index end) {
+      const Tensor done = rows.finished(end);
+      REQUIRE(done.shape() == Shape{2, end - y0, 50});
+      for (Index c = 0; c < 2; ++c)
+        std::copy_n(done.data() + c * (end - y0) * 50, (end - y0) * 50,
+                    out.data() + (c * 60 + y0) * 50);
+      y0 = end;
+    };
+    for (const std::size_t k : assembly_order(tiling)) {
+      const Tile& tile = tiling.tiles[k];
+      if (tile.all.y0 > y0) take(tile.all.y0);
+      if (k == 1) continue;  // was not made
+      Tensor part({2, tile.core.height(), tile.core.width()}, static_cast<float>(k));
+      for (Index i = part.count() / 2; i < part.count(); ++i) part[i] += 100;
+      rows.add(tile, part);
+    }
+    take(60);
+    for (Index i = 0; i < 3000; ++i) {
+      std::size_t owner = 0;
+      for (std::size_t k = 0; k < tiling.tiles.size(); ++k)
+        if (tiling.owns(tiling.tiles[k], i % 50, i / 50)) owner = k;
+      if (owner == 1) {
+        REQUIRE(std::isnan(out[i]));
+        continue;
+      }
+      REQUIRE(out[i] == static_cast<float>(owner));
+      REQUIRE(out[3000 + i] == static_cast<float>(owner + 100));
+    }
+    CHECK_THROWS_AS(rows.add(tiling.tiles[0], Tensor({2, 3, 3})), ShapeError);
+  }
+}
+
+TEST_CASE("tiles lie as the images do where that saves pixels") {
+  const Files files(700);
+  const nn::ModelConfig model = nn::model_preset("tiny");
+  double bytes = 1e9;
+  for (; window_for_memory(model, {3, 700}, Surface::splat, bytes) > 320;) bytes *= 0.98;
+  const scene::Survey survey = files.survey();
+  const auto planned = [&](double degrees) {
+    scene::Survey turned = survey;
+    const scene::Scene& scene = survey.user.scene;
+    const double height = scene.frame.h0 + scene.z_range.middle();
+    for (std::size_t i = 0; i < turned.views.size(); ++i)
+      turned.user.scene.views[i].rpc = turned.views[i].rpc =
+          straight_and_turned(survey.views[i].rpc, 700, height, degrees);
+    return plan_tiles(model, turned, {}, {}, bytes);
+  };
+  const Tiling plain = planned(0);
+  for (const double degrees : {-25.0, 18.0}) {
+    const Tiling askew = planned(degrees);
+    CAPTURE(plain.axes.degrees());
+    CAPTURE(askew.axes.degrees());
+    CHECK(std::abs(askew.axes.degrees() - plain.axes.degrees() - degrees) <= 6);
+    CHECK(askew.megapixels < 1.15 * plain.megapixels);
+  }
 }
 
 TEST_CASE(
@@ -143,49 +279,65 @@ TEST_CASE("tiles cover the ground once, and every window holds what its tile nee
     CHECK(tiling.memory_bytes < 1.5 * bytes + 4e8);
   }
   REQUIRE(tiling.tiles.size() >= 4);
-  CHECK(static_cast<Index>(tiling.tiles.size()) == tiling.rows * tiling.columns);
-  std::vector<int> covered(static_cast<std::size_t>(tiling.grid.width * tiling.grid.height), 0);
+  CHECK(static_cast<Index>(tiling.tiles.size()) <= tiling.rows * tiling.columns);
   const rpc::HeightRange& z = survey.user.scene.z_range;
-  for (const Tile& tile : tiling.tiles) {
-    for (Index y = tile.core.y0; y < tile.core.y1; ++y)
-      for (Index x = tile.core.x0; x < tile.core.x1; ++x)
-        ++covered[static_cast<std::size_t>(y * tiling.grid.width + x)];
-    CHECK(tile.all.x0 == std::max<Index>(0, tile.core.x0 - tiling.overlap));
-    CHECK(tile.all.y1 == std::min(tiling.grid.height, tile.core.y1 + tiling.overlap));
+  for (const Tile& tile : tiling.tiles)
     for (const scene::SurveyedView& view : survey.views) {
       const auto window =
-          scene::window_of(view, survey.user.scene.frame, tiling.grid_of(tile.all).ground(), z);
+          scene::window_of(view, survey.user.scene.frame, tiling.ground_of(tile), z);
       REQUIRE(window);
       CHECK(window->width <= tiling.window + 16);
       CHECK(window->height <= tiling.window + 16);
     }
+  const scene::Polygon seen = common_outline(survey.user.scene);
+  const std::vector<int> owners = owners_of(tiling);
+  for (Index i = 0; i < tiling.grid.height * tiling.grid.width; ++i) {
+    const double column = static_cast<double>(i % tiling.grid.width) + 0.5,
+                 row = static_cast<double>(i / tiling.grid.width) + 0.5;
+    const int n = owners[static_cast<std::size_t>(i)];
+    REQUIRE(n <= 1);
+    if (scene::contains(seen, tiling.grid.east + column * tiling.grid.step,
+                        tiling.grid.north - row * tiling.grid.step))
+      REQUIRE(n == 1);
   }
-  for (const int n : covered) REQUIRE(n == 1);
 }
 
 TEST_CASE("tiles are as long and wide as takes the fewest pixels") {
   const Files files(900);
   scene::Survey survey = files.survey();
-  survey.user.scene.z_range.high = survey.user.scene.z_range.low + 60;
+  survey.user.scene.z_range.high = survey.user.scene.z_range.low + 20;
   const nn::ModelConfig model = nn::model_preset("tiny");
   double bytes = 1e9;
   for (; window_for_memory(model, {3, 900}, Surface::splat, bytes) > 420;) bytes *= 0.98;
   const Tiling tiling = plan_tiles(model, survey, {}, {}, bytes);
   REQUIRE(tiling.tiles.size() >= 4);
-  // The square windows of a tile in the middle, for so many columns and rows.
+  std::array<double, 2> begin{INFINITY, INFINITY}, end{-INFINITY, -INFINITY};
+  for (const Tile& tile : tiling.tiles)
+    for (std::size_t k = 0; k < 2; ++k)
+      begin[k] = std::min(begin[k], tile.begin[k]), end[k] = std::max(end[k], tile.end[k]);
+  // The windows of a tile in the middle, for so many columns and rows.
   const rpc::HeightRange z = survey.user.scene.z_range;
   const auto cost = [&](Index columns, Index rows) {
-    const auto part = [&](Index cells, Index parts) {
-      const Index margin = parts > 1 ? tiling.overlap : 0, length = cells / parts;
-      return std::array<Index, 2>{(cells - length) / 2 - margin, (cells + length) / 2 + margin};
-    };
-    const auto x = part(tiling.grid.width, columns), y = part(tiling.grid.height, rows);
+    std::array<double, 2> from{}, to{};
+    for (std::size_t k = 0; k < 2; ++k) {
+      const auto parts = static_cast<double>(k == 0 ? columns : rows);
+      const double margin = parts > 1 ? static_cast<double>(tiling.overlap) : 0,
+                   half = (end[k] - begin[k]) / parts / 2 + margin,
+                   middle = (begin[k] + end[k]) / 2;
+      from[k] = middle - half, to[k] = middle + half;
+    }
+    scene::Polygon ground;
+    for (const auto& [u, v] :
+         {std::array{from[0], to[1]}, {to[0], to[1]}, {to[0], from[1]}, from}) {
+      const auto [x, y] = tiling.axes.place(u, v);
+      ground.push_back(
+          {tiling.grid.east + x * tiling.grid.step, tiling.grid.north - y * tiling.grid.step});
+    }
     Index side = 0;
     for (scene::SurveyedView view : survey.views) {
       view.width = view.height = 100000;  // as if there were more image around
       view.rpc.samp_off += 50000, view.rpc.line_off += 50000;
-      const auto w = scene::window_of(view, survey.user.scene.frame,
-                                      tiling.grid_of({x[0], y[0], x[1], y[1]}).ground(), z);
+      const auto w = scene::window_of(view, survey.user.scene.frame, ground, z);
       side = std::max({side, w->width, w->height});
     }
     return static_cast<double>(side <= tiling.window ? columns * rows * side * side : 1 << 30);
@@ -238,7 +390,7 @@ TEST_CASE("every tile has the best of the images that see it") {
   REQUIRE(all.views.size() == 4);  // though no tile has more than two
   const Tiling tiling = plan_tiles(nn::model_preset("tiny"), all, {}, {}, 0);
   CHECK(tiling.views == 2);
-  const Ground ground = tiling.grid.ground();
+  const scene::Polygon ground = scene::corners_of(tiling.grid.ground());
   const auto chosen = scene::views_of(all, ground, all.user.scene.z_range);
   REQUIRE(chosen.size() == 2);
   CHECK(chosen[0] < chosen[1]);
@@ -247,6 +399,44 @@ TEST_CASE("every tile has the best of the images that see it") {
   CHECK(part.scene.views[0].name == all.user.scene.views[chosen[0]].name);
   const scene::Survey survey = files.survey();  // no choice where there are few
   CHECK(scene::views_of(survey, ground, survey.user.scene.z_range).size() == 4);
+}
+
+TEST_CASE("a tile whose heights take more than a window has several of them") {
+  const Files files(240, 2);
+  const scene::Survey survey = files.survey();
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  ReconstructOptions options;
+  options.surface = Surface::plain, options.narrow = false;
+  Tiling tiling = plan_tiles(model.config(), survey, options, {}, 0);
+  REQUIRE(tiling.tiles.size() == 1);
+  const auto made_with = [&](Index window) {
+    tiling.window = window;
+    const Tile& tile = tiling.tiles[0];
+    const scene::WindowedScene part =
+        scene::read_windows(survey, tiling.ground_of(tile), survey.user.scene.z_range);
+    return reconstruct_tile(model, part, tiling, tile, options);
+  };
+  const TileSurface whole = made_with(1280), parts = made_with(200);
+  CHECK(whole.window.height > 200);
+  CHECK(parts.window.height <= 200);
+  CHECK(parts.window.width <= 200);
+  // Both reach from rim to rim, though one view through a window of 200 px does not.
+  REQUIRE(whole.expected > 0);
+  CHECK(parts.expected > 0.9 * static_cast<double>(whole.expected));
+  const auto known = [](const Tensor& heights, Index x0, Index x1) {
+    Index n = 0;
+    for (Index i = 0; i < heights.count(); ++i) {
+      const Index x = i % heights.dim(1);
+      n += x >= x0 && x < x1 && std::isfinite(heights[i]);
+    }
+    return n;
+  };
+  const Index W = whole.heights.dim(1);
+  for (Index k = 0; k < 5; ++k) {
+    CAPTURE(k);
+    const Index of_whole = known(whole.heights, k * W / 5, (k + 1) * W / 5);
+    CHECK(2 * known(parts.heights, k * W / 5, (k + 1) * W / 5) >= of_whole);
+  }
 }
 
 TEST_CASE("only the ground that is wanted is made, on the cells of the whole") {

@@ -183,6 +183,29 @@ TEST_CASE("the window around some ground holds what every image shows of it, and
   }
 }
 
+TEST_CASE("the least window is around what the views show of a ground") {
+  const TempFolder folder("dataset-6");
+  write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
+  const Scene scene = load_scene(folder.path(), "SIM_001");
+  const View& any = scene.views[0];
+  const auto middle = scene.frame.local_from_geodetic(any.rpc.localize(
+      {0.5 * static_cast<double>(any.width()), 0.5 * static_cast<double>(any.height())},
+      scene.frame.h0 + scene.z_range.middle()));
+  const auto window_of = [&](double width) {
+    const Polygon ground =
+        corners_of({middle[0] - 4, middle[1] - 8, middle[0] - 4 + width, middle[1] + 8});
+    const GroundWindow window = least_window(scene, ground, 5000, 1);
+    CHECK(window.size == window_around(scene, ground, window.middle, 5000, 1));
+    return window;
+  };
+  const GroundWindow inside = window_of(8), beyond = window_of(2000);
+  CHECK(inside.middle[0] == doctest::Approx(middle[0]).epsilon(0.01));
+  CHECK(beyond.middle[0] > middle[0] + 2);
+  CHECK(beyond.size.width < any.width());  // the middle of the ground itself is in no image
+  const Ground ground{middle[0] - 4, middle[1] - 8, middle[0] + 1996, middle[1] + 8};
+  CHECK(beyond.size.width < window_around(scene, ground, 5000, 1).width / 4);
+}
+
 TEST_CASE("pixels outside an image are invalid") {
   const TempFolder folder("dataset-3");
   write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");

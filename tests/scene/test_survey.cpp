@@ -72,13 +72,14 @@ TEST_CASE("a window is the image's own pixels under the image's own camera") {
   CHECK(survey.factor == 1);
   const rpc::LocalFrame& frame = survey.user.scene.frame;
   const Ground ground{-15, -10, 20, 15};
-  const WindowedScene part = read_windows(survey, ground, {-5, 10});
+  const Polygon box = corners_of(ground);
+  const WindowedScene part = read_windows(survey, box, {-5, 10});
   REQUIRE(part.views == std::vector<std::size_t>{0, 1});
   for (std::size_t i = 0; i < 2; ++i) {
     const View& whole = survey.user.scene.views[i];
     const View& view = part.scene.views[i];
     CHECK(view.width() < whole.width());
-    const auto window = window_of(survey.views[i], frame, ground, {-5, 10});
+    const auto window = window_of(survey.views[i], frame, box, {-5, 10});
     REQUIRE(window);
     CHECK(view.width() == window->width);
     const Index at = (window->y0 + 3) * whole.width() + window->x0 + 5;
@@ -91,7 +92,7 @@ TEST_CASE("a window is the image's own pixels under the image's own camera") {
       for (const double z : {-5.0, 10.0})
         CHECK(view.contains(frame.geodetic_from_local({x, ground.y1 - 0.01, z})));
   }
-  CHECK(read_windows(survey, {5000, 5000, 5010, 5010}, {0, 10}).views.empty());
+  CHECK(read_windows(survey, corners_of({5000, 5000, 5010, 5010}), {0, 10}).views.empty());
 }
 
 TEST_CASE("the border of an image is left out of its windows too") {
@@ -100,11 +101,11 @@ TEST_CASE("the border of an image is left out of its windows too") {
   REQUIRE(survey.user.scene.views[0].border == doctest::Approx(0.15));
   REQUIRE(survey.views[0].border_values.size() == 1);
   CHECK(survey.views[1].border_values.empty());
-  const WindowedScene part = read_windows(survey, {-60, -60, 60, 60}, {-5, 5});
+  const WindowedScene part = read_windows(survey, corners_of({-60, -60, 60, 60}), {-5, 5});
   REQUIRE(part.views.size() == 2);
   const View& view = part.scene.views[0];
   const auto window =
-      window_of(survey.views[0], survey.user.scene.frame, {-60, -60, 60, 60}, {-5, 5});
+      window_of(survey.views[0], survey.user.scene.frame, corners_of({-60, -60, 60, 60}), {-5, 5});
   REQUIRE(window);
   Index wrong = 0;
   for (Index i = 0; i < view.valid.count(); ++i)

@@ -77,6 +77,26 @@ TEST_CASE("polygons") {
   CHECK(intersect(square, {{4, 0}, {7, 0}, {7, 4}, {4, 4}}).empty());  // a shared edge is no ground
 }
 
+TEST_CASE("the hull of points, the bounds of a polygon and what it contains") {
+  const Polygon hull =
+      convex_hull({{2, 1}, {0, 0}, {4, 0}, {2, 0}, {3, 3}, {2, 2}, {0, 4}, {0, 0}});
+  CHECK(hull == Polygon{{0, 0}, {4, 0}, {3, 3}, {0, 4}});
+  CHECK(convex_hull({{0, 0}, {1, 1}, {2, 2}}).empty());
+  CHECK(convex_hull({{1, 1}, {1, 1}}).empty());
+  CHECK(convex_hull({}).empty());
+  const Ground box = bounds_of(hull);
+  CHECK(box.x0 == 0);
+  CHECK(box.y0 == 0);
+  CHECK(box.x1 == 4);
+  CHECK(box.y1 == 4);
+  CHECK(corners_of(box) == Polygon{{0, 0}, {4, 0}, {4, 4}, {0, 4}});
+  CHECK(contains(hull, 3, 2.5));
+  CHECK(contains(hull, 0, 2));  // on its rim
+  CHECK_FALSE(contains(hull, 3.5, 3));
+  CHECK_FALSE(contains(hull, -0.1, 2));
+  CHECK_FALSE(contains({}, 0, 0));
+}
+
 TEST_CASE("footprint, angles and parallax of a camera made by hand") {
   const rpc::Rpc level = camera(60, 40, 0), tilted = camera(60, 40, 0.8);
   const rpc::UtmZone zone = rpc::utm_zone_of(20, 10);
