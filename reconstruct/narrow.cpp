@@ -57,15 +57,6 @@ std::array<double, 3> middle_of(const scene::Scene& scene) {
   return {p[0], p[1], z};
 }
 
-/// Pixels of parallax per metre of height of the pair that has most.
-double most_parallax(const std::vector<rpc::PixelJacobian>& cameras) {
-  double most = 0;
-  for (const auto& a : cameras)
-    for (const auto& b : cameras)
-      most = std::max(most, std::hypot(a[0][2] - b[0][2], a[1][2] - b[1][2]));
-  return most;
-}
-
 /// Unwanted ground around the middle of a scene, by cells of a few pixels.
 class Unwanted {
  public:
@@ -127,13 +118,6 @@ std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& h
 }
 
 }  // namespace
-
-double span_of_hypotheses(const nn::ModelConfig& config,
-                          const std::vector<rpc::PixelJacobian>& cameras) {
-  constexpr double kApart = 0.8;  // stage pixels
-  return kApart * static_cast<double>(nn::kStrides[0] * config.hypotheses[0]) /
-         most_parallax(cameras);
-}
 
 double span_of_hypotheses(const nn::ModelConfig& config, const scene::Scene& scene) {
   std::vector<rpc::PixelJacobian> cameras;

@@ -6,16 +6,11 @@
 #include "satsurf/scene/scene.h"
 
 #include <functional>
-#include <vector>
 
 namespace satsurf::reconstruct {
 
-/// Heights, m, that the first stage's hypotheses span when they are 0.8 stage pixels of parallax apart, in the pair of
-/// views with the most of it: closer they would not see more, further apart they miss surfaces.
+/// See plan.h, in the middle of the first view.
 double span_of_hypotheses(const nn::ModelConfig& config, const scene::Scene& scene);
-/// The same of the views' derivatives in the middle of the ground.
-double span_of_hypotheses(const nn::ModelConfig& config,
-                          const std::vector<rpc::PixelJacobian>& cameras);
 
 /// Heights that a scene's surface lies between, of a range that may be far too generous: the first
 /// stage shares its hypotheses out over all of it, and what it wastes on empty air it lacks on the

@@ -231,6 +231,16 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   return plan;
 }
 
+double span_of_hypotheses(const nn::ModelConfig& config,
+                          const std::vector<rpc::PixelJacobian>& cameras) {
+  constexpr double kApart = 0.8;  // stage pixels
+  double most = 0;                // pixels of parallax per metre of height
+  for (const auto& a : cameras)
+    for (const auto& b : cameras)
+      most = std::max(most, std::hypot(a[0][2] - b[0][2], a[1][2] - b[1][2]));
+  return kApart * static_cast<double>(nn::kStrides[0] * config.hypotheses[0]) / most;
+}
+
 void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {
   const auto times = [](Index a, Index b) { return std::to_string(a) + " x " + std::to_string(b); };
   satsurf::check_memory(std::to_string(scene.views.size()) + " windows of " +

@@ -129,6 +129,12 @@ Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step);
 /// The side of a cell that suits pixels of this size on the ground, m, a multiple of 0.05.
 double natural_step(double footprint);
 
+/// Heights, m, that the first stage's hypotheses span when they are 0.8 stage pixels of parallax apart, in the pair of
+/// views with the most of it: closer they would not see more, further apart they miss surfaces.
+/// cameras  derivatives of the views
+double span_of_hypotheses(const nn::ModelConfig& config,
+                          const std::vector<rpc::PixelJacobian>& cameras);
+
 /// Sizes and memory of a reconstruction, before it begins.
 /// throws  Error if fewer than two views see a common ground, or for more cells or tiles than there can be
 ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,

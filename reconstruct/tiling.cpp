@@ -3,7 +3,6 @@
 
 #include "satsurf/core/error.h"
 #include "satsurf/core/memory.h"
-#include "satsurf/reconstruct/narrow.h"
 #include "satsurf/rpc/fit.h"
 
 #include <algorithm>
