@@ -32,14 +32,14 @@ std::string pointing_line(const scene::Pointing& pointing) {
   return fmt::format(
       "cameras disagreed by {}, {:.2f} px after shifts of up to {:.2f} px ({}; on the ground their "
       "mean is zero, so where the ground as a whole lies stays as the cameras have it)",
-      measured, scene::mean_across(pointing.after), pointing.largest_shift(), pointing.verdict);
+      measured, scene::mean_across(pointing.after), pointing.largest_shift, pointing.verdict);
 }
 
 nlohmann::ordered_json pointing_json(const scene::Pointing& pointing) {
   nlohmann::ordered_json json{
       {"applied", pointing.applied}, {"verdict", pointing.verdict},
       {"ties", ties_of(pointing)},   {"across_before", scene::mean_across(pointing.before)},
-      {"across_after", nullptr},     {"largest_shift", pointing.largest_shift()}};
+      {"across_after", nullptr},     {"largest_shift", pointing.largest_shift}};
   if (!pointing.after.empty()) json["across_after"] = scene::mean_across(pointing.after);
   return json;
 }

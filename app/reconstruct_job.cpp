@@ -41,6 +41,7 @@ std::optional<rpc::ProjectedCrs> crs_of(const ReconstructConfig& config) {
 /// throws  IoError for a file that is none of shifts
 scene::PointingChoice pointing_of(const ReconstructConfig& config) {
   if (config.pointing == "shift") return {};
+  if (config.pointing == "affine") return {.affine = true};
   if (config.pointing == "off") return {.measure = false};
   return {.given = scene::read_pointing(config.pointing)};
 }

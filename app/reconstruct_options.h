@@ -58,7 +58,7 @@ struct ReconstructConfig {
   std::filesystem::path weights;  ///< empty for the shipped ones
   OptionalPair height_range;      ///< m above the ellipsoid
   Index max_views = scene::kMostViews;
-  std::string pointing = "shift";  ///< "shift", "off" or a file
+  std::string pointing = "shift";  ///< "shift", "affine", "off" or a file
   reconstruct::Surface surface = reconstruct::Surface::automatic;
   double resolution = 0;     ///< m, 0 for the images' own
   std::string crs = "auto";  ///< of the rasters: "auto", a code, WKT or a string of PROJ
@@ -109,9 +109,10 @@ struct ReconstructConfig {
             .placeholder = "LOW HIGH"});
     v("pointing", s.pointing,
       Field{.help = "cameras that disagree: `shift` measures it and shifts each image's where one "
-                    "is off by more than 0.3 px, `off` takes them as they are, a FILE "
+                    "is off by more than 0.3 px, `affine` by what changes linearly within each "
+                    "image, for long images, `off` takes them as they are, a FILE "
                     "(pointing.json of a run) says the shifts",
-            .placeholder = "shift|off|FILE"});
+            .placeholder = "shift|affine|off|FILE"});
     v("surface", s.surface, surface_field());
     v("resolution", s.resolution,
       Field{.help = "cell of the surface",

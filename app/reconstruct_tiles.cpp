@@ -138,8 +138,10 @@ nlohmann::json plan_json(const ReconstructJob& job, const scene::Survey& survey,
                      {"changed", fs::last_write_time(file, error).time_since_epoch().count()}});
   }
   auto shifts = nlohmann::json::array();
-  if (survey.user.pointing)
-    for (const rpc::Pixel& s : survey.user.pointing->shifts) shifts.push_back({s.x, s.y});
+  if (const auto& pointing = survey.user.pointing)
+    for (std::size_t i = 0; i < pointing->shifts.size(); ++i)
+      shifts.push_back({pointing->shifts[i].x, pointing->shifts[i].y, pointing->slope(i).at.x,
+                        pointing->slope(i).at.y, pointing->slope(i).per_pixel});
   const rpc::LocalFrame& frame = survey.user.scene.frame;
   const reconstruct::Grid& grid = tiling.grid;
   return {{"config", job.record.json()["config"]},

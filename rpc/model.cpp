@@ -3,8 +3,11 @@
 
 #include "satsurf/core/error.h"
 
+#include <algorithm>
 #include <cmath>
 #include <sstream>
+
+#include <Eigen/QR>
 
 namespace satsurf::rpc {
 namespace {
@@ -129,6 +132,66 @@ Rpc Rpc::cropped(double x0, double y0) const {
   Rpc r = *this;
   r.samp_off -= x0;
   r.line_off -= y0;
+  return r;
+}
+
+namespace {
+
+/// A numerator over some denominator that comes to the ratio of another pair, over the cube for which
+/// the polynomials are normalised.
+struct OverOther {
+  Cubic num{};
+  double most_off = 0;
+};
+
+OverOther over(const Cubic& den, const Cubic& other_num, const Cubic& other_den) {
+  constexpr int kSteps = 4;  // from the middle to a side
+  constexpr int kSide = 2 * kSteps + 1, kPoints = kSide * kSide * kSide;
+  Eigen::MatrixXd A(kPoints, 20);
+  Eigen::VectorXd wanted(kPoints);
+  int k = 0;
+  const auto at = [](int i) { return static_cast<double>(i - kSteps) / kSteps; };
+  for (int i = 0; i < kSide; ++i)
+    for (int j = 0; j < kSide; ++j)
+      for (int h = 0; h < kSide; ++h, ++k) {
+        const Cubic m = Monomials::values(at(i), at(j), at(h));
+        const double D = dot(den, m);
+        for (std::size_t c = 0; c < m.size(); ++c) A(k, static_cast<Eigen::Index>(c)) = m[c] / D;
+        wanted[k] = dot(other_num, m) / dot(other_den, m);
+      }
+  const Eigen::VectorXd c = A.colPivHouseholderQr().solve(wanted);
+  OverOther out;
+  for (std::size_t i = 0; i < out.num.size(); ++i) out.num[i] = c[static_cast<Eigen::Index>(i)];
+  out.most_off = (A * c - wanted).cwiseAbs().maxCoeff();
+  return out;
+}
+
+}  // namespace
+
+Rpc Rpc::corrected(const Pixel& shift, const ShiftSlope& slope) const {
+  constexpr double kTolerance = 0.01;  // px
+  Rpc r = *this;
+  const Pixel in_the_middle = slope.in({samp_off, line_off});
+  r.samp_off += shift.x + in_the_middle.x;
+  r.line_off += shift.y + in_the_middle.y;
+  if (slope.empty()) return r;
+  // x' = x + slope_xx scale_x (N_x / D_x) + slope_xy scale_y (N_y / D_y) + ..., all over D_x
+  const OverOther line = over(samp_den, line_num, line_den),
+                  samp = over(line_den, samp_num, samp_den);
+  const auto& s = slope.per_pixel;
+  const double x_from_y = s[0][1] * line_scale, y_from_x = s[1][0] * samp_scale,
+               off =
+                   std::max(std::abs(x_from_y) * line.most_off, std::abs(y_from_x) * samp.most_off);
+  if (!(off <= kTolerance)) {
+    std::ostringstream text;
+    text << "Rpc::corrected: residual " << off << " px, expected at most " << kTolerance
+         << " px; the denominators of the camera may have zeros";
+    throw Error(text.str());
+  }
+  for (std::size_t i = 0; i < r.samp_num.size(); ++i) {
+    r.samp_num[i] += s[0][0] * samp_num[i] + x_from_y / samp_scale * line.num[i];
+    r.line_num[i] += s[1][1] * line_num[i] + y_from_x / line_scale * samp.num[i];
+  }
   return r;
 }
 

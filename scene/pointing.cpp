@@ -86,10 +86,33 @@ std::optional<rpc::HeightRange> middle_of(std::vector<double> heights) {
   return rpc::HeightRange{at(0.05), at(0.95)};
 }
 
+/// Notes how long the longest shift is.
+void note_largest(Pointing& out, const std::vector<TiePoint>& points) {
+  out.largest_shift = 0;
+  const auto note = [&](const rpc::Pixel& s) {
+    out.largest_shift = std::max(out.largest_shift, std::hypot(s.x, s.y));
+  };
+  if (out.slopes.empty())
+    for (const rpc::Pixel& s : out.shifts) note(s);
+  else
+    for (const TiePoint& point : points)
+      for (const Sighting& s : point.sightings) {
+        const rpc::Pixel more = out.slopes[s.view].in(s.pixel);
+        note({out.shifts[s.view].x + more.x, out.shifts[s.view].y + more.y});
+      }
+}
+
 /// Notes how the cameras agree with the shifts in `out`.
 void note_after(Pointing& out, const std::vector<rpc::Rpc>& cameras,
                 const std::vector<TiePoint>& points, double height) {
-  TieResiduals after = tie_residuals(cameras, out.shifts, points, height);
+  std::vector<rpc::Rpc> corrected = cameras;
+  for (std::size_t i = 0; i < cameras.size() && !out.slopes.empty(); ++i)
+    corrected[i] = cameras[i].corrected(out.shifts[i], out.slopes[i]);
+  TieResiduals after =
+      out.slopes.empty()
+          ? tie_residuals(cameras, out.shifts, points, height)
+          : tie_residuals(corrected, std::vector<rpc::Pixel>(cameras.size()), points, height);
+  note_largest(out, points);
   out.after = std::move(after.pairs);
   out.heights = middle_of(std::move(after.heights));
 }
@@ -108,15 +131,9 @@ Pointing agreement(const std::vector<View>& views, const std::vector<TiePoint>& 
 
 }  // namespace
 
-double Pointing::largest_shift() const {
-  double largest = 0;
-  for (const rpc::Pixel& s : shifts) largest = std::max(largest, std::hypot(s.x, s.y));
-  return largest;
-}
-
 void apply_pointing(const Pointing& pointing, std::vector<View>& views) {
   for (std::size_t i = 0; i < views.size(); ++i)
-    views[i].rpc = views[i].rpc.cropped(-pointing.shifts[i].x, -pointing.shifts[i].y);
+    views[i].rpc = views[i].rpc.corrected(pointing.shifts[i], pointing.slope(i));
 }
 
 double mean_across(const std::vector<PairResidual>& pairs) {
@@ -129,13 +146,13 @@ double mean_across(const std::vector<PairResidual>& pairs) {
 }
 
 Pointing measure_pointing(const std::vector<View>& views, const rpc::HeightRange& height_range,
-                          const std::function<void()>& poll) {
+                          const std::function<void()>& poll, bool affine) {
   return pointing_from(views, find_tie_points(views, height_range, kLargestPointingError, poll),
-                       height_range.middle());
+                       height_range.middle(), affine);
 }
 
 Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoint>& points,
-                       double height) {
+                       double height, bool affine) {
   Pointing out = agreement(views, points, height);
   const std::vector<std::size_t> members = largest_group(groups_of(views.size(), out.before));
   if (members.size() < 2) {
@@ -145,12 +162,17 @@ Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoin
   const std::vector<rpc::Rpc> cameras = cameras_of(views);
   std::vector<rpc::Rpc> connected;
   for (const std::size_t i : members) connected.push_back(cameras[i]);
-  const PointingAdjustment found = adjust_pointing(connected, among(points, members), height);
-  for (std::size_t k = 0; k < members.size(); ++k) out.shifts[members[k]] = found.shifts[k];
+  const PointingAdjustment found =
+      adjust_pointing(connected, among(points, members), height, affine);
+  if (affine) out.slopes.resize(views.size());
+  for (std::size_t k = 0; k < members.size(); ++k) {
+    out.shifts[members[k]] = found.shifts[k];
+    if (affine) out.slopes[members[k]] = found.slopes[k];
+  }
   out.observable = found.observable;
   note_after(out, cameras, points, height);
   const double before = mean_across(out.before), after = mean_across(out.after),
-               largest = out.largest_shift();
+               largest = out.largest_shift;
   if (largest <= kWorth)
     out.verdict = "not needed: the largest shift is " + number("%.2f px", largest) +
                   number(", no more than %g px", kWorth);
@@ -165,8 +187,8 @@ Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoin
   return out;
 }
 
-std::vector<rpc::Pixel> shifts_of(const std::vector<View>& views, const NamedShifts& shifts) {
-  std::vector<rpc::Pixel> chosen;
+std::vector<KnownShift> shifts_of(const std::vector<View>& views, const NamedShifts& shifts) {
+  std::vector<KnownShift> chosen;
   for (const View& v : views) {
     const auto at = shifts.find(v.name);
     if (at == shifts.end()) {
@@ -175,6 +197,11 @@ std::vector<rpc::Pixel> shifts_of(const std::vector<View>& views, const NamedShi
       throw ConfigError("pointing: no shift for " + v.name + ", expected one for every image (" +
                         (names.empty() ? "none" : names) + " given)");
     }
+    try {
+      v.rpc.corrected(at->second.shift, at->second.slope);
+    } catch (const Error& e) {
+      throw ConfigError("pointing: the slopes of " + v.name + " suit no camera: " + e.what());
+    }
     chosen.push_back(at->second);
   }
   return chosen;
@@ -182,20 +209,25 @@ std::vector<rpc::Pixel> shifts_of(const std::vector<View>& views, const NamedShi
 
 Pointing given_pointing(const std::vector<View>& views, const NamedShifts& shifts,
                         const rpc::HeightRange& height_range, const std::function<void()>& poll) {
-  const std::vector<rpc::Pixel> chosen = shifts_of(views, shifts);
+  const std::vector<KnownShift> chosen = shifts_of(views, shifts);
   // Points are looked for where the shifted cameras see them, which is as far as they are off.
   std::vector<View> shifted = views;
   for (std::size_t i = 0; i < views.size(); ++i)
-    shifted[i].rpc = views[i].rpc.cropped(-chosen[i].x, -chosen[i].y);
+    shifted[i].rpc = views[i].rpc.corrected(chosen[i].shift, chosen[i].slope);
   return given_pointing(views, chosen,
                         find_tie_points(shifted, height_range, kLargestPointingError, poll),
                         height_range.middle());
 }
 
-Pointing given_pointing(const std::vector<View>& views, std::vector<rpc::Pixel> shifts,
+Pointing given_pointing(const std::vector<View>& views, const std::vector<KnownShift>& shifts,
                         const std::vector<TiePoint>& points, double height) {
   Pointing out = agreement(views, points, height);
-  out.shifts = std::move(shifts);
+  const bool sloped =
+      std::ranges::any_of(shifts, [](const KnownShift& s) { return !s.slope.empty(); });
+  for (std::size_t i = 0; i < shifts.size(); ++i) {
+    out.shifts[i] = shifts[i].shift;
+    if (sloped) out.slopes.push_back(shifts[i].slope);
+  }
   note_after(out, cameras_of(views), points, height);
   out.applied = true;
   out.verdict = "as given";

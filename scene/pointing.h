@@ -14,19 +14,22 @@ namespace satsurf::scene {
 
 /// How well the cameras of a scene agree, and shifts that make them agree better.
 struct Pointing {
-  std::vector<std::string> names;    ///< of the views
-  std::vector<rpc::Pixel> shifts;    ///< to add to where each camera sees a point, px; mean zero
-  std::vector<PairResidual> before;  ///< every pair with the cameras as they came
-  std::vector<PairResidual> after;   ///< with the shifts; empty where none could be estimated
-  Index observable = 0;              ///< see PointingAdjustment
-  bool applied = false;              ///< whether the scene's cameras have been shifted
-  std::string verdict;               ///< in words: why, or why not
+  std::vector<std::string> names;  ///< of the views
+  std::vector<rpc::Pixel> shifts;  ///< to add to where each camera sees a point, px; mean zero
+  std::vector<rpc::ShiftSlope> slopes{};  ///< what these change by within the images; or empty
+  std::vector<PairResidual> before;       ///< every pair with the cameras as they came
+  std::vector<PairResidual> after;        ///< with the shifts; empty where none could be estimated
+  Index observable = 0;                   ///< see PointingAdjustment
+  bool applied = false;                   ///< whether the scene's cameras have been shifted
+  std::string verdict;                    ///< in words: why, or why not
   /// Middle nine tenths of the tie points' heights with the shifts, m above the ellipsoid; empty
   /// without any.
   std::optional<rpc::HeightRange> heights;
 
-  /// Length of the largest shift, px.
-  double largest_shift() const;
+  double largest_shift = 0;  ///< its length, px; of shifts with slopes that at a tie point
+  rpc::ShiftSlope slope(std::size_t view) const {
+    return slopes.empty() ? rpc::ShiftSlope{} : slopes[view];
+  }
 };
 
 /// Largest error of an image's pointing that is found, px.
@@ -41,16 +44,22 @@ inline constexpr double kLargestPointingError = 50;
 /// views         two or more
 /// height_range  heights of the ground, m above the ellipsoid; may be wide
 /// poll          called often, may throw to stop
+/// affine        whether shifts may change within an image
 Pointing measure_pointing(const std::vector<View>& views, const rpc::HeightRange& height_range,
-                          const std::function<void()>& poll = {});
+                          const std::function<void()>& poll = {}, bool affine = false);
 
 /// The same of tie points that have been found, in views whose pixels are not needed.
 /// height  where points are begun, m above the ellipsoid
 Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoint>& points,
-                       double height);
+                       double height, bool affine = false);
 
+/// A shift that is known, and what it changes by within the image.
+struct KnownShift {
+  rpc::Pixel shift;
+  rpc::ShiftSlope slope{};
+};
 /// Shifts by the names of the images, as a file of them says.
-using NamedShifts = std::map<std::string, rpc::Pixel>;
+using NamedShifts = std::map<std::string, KnownShift>;
 
 /// The same with shifts that are known. `applied` is set.
 /// throws  ConfigError naming a view without a shift
@@ -59,13 +68,13 @@ Pointing given_pointing(const std::vector<View>& views, const NamedShifts& shift
                         const std::function<void()>& poll = {});
 
 /// The shift of each view.
-/// throws  ConfigError naming a view without one
-std::vector<rpc::Pixel> shifts_of(const std::vector<View>& views, const NamedShifts& shifts);
+/// throws  ConfigError naming a view without one, or one whose camera cannot have its slopes
+std::vector<KnownShift> shifts_of(const std::vector<View>& views, const NamedShifts& shifts);
 /// As `given_pointing`, of tie points that have been found.
-Pointing given_pointing(const std::vector<View>& views, std::vector<rpc::Pixel> shifts,
+Pointing given_pointing(const std::vector<View>& views, const std::vector<KnownShift>& shifts,
                         const std::vector<TiePoint>& points, double height);
 
-/// Shifts the cameras of the views: exactly, by the offsets of their RPCs.
+/// Shifts the cameras of the views, see `Rpc::corrected`.
 void apply_pointing(const Pointing& pointing, std::vector<View>& views);
 
 /// One number for all pairs: the mean of their residuals across the epipolar direction, each with

@@ -43,16 +43,51 @@ struct Track {
   rpc::Geodetic ground;
   std::vector<double> weight;             // of each sighting
   std::vector<Eigen::Vector2d> residual;  // seen minus predicted, px
+  std::vector<std::array<double, 3>> at;  // the functions of the place where it is predicted
   std::vector<Eigen::Matrix<double, 2, 3>> jacobian;
 };
+
+/// Where a camera's sightings lie in its image, px.
+struct Extent {
+  rpc::Pixel middle, reach{1, 1};
+};
+
+std::vector<Extent> extents_of(std::size_t cameras, const std::vector<TiePoint>& points) {
+  std::vector<rpc::Pixel> least(cameras, {INFINITY, INFINITY}),
+      most(cameras, {-INFINITY, -INFINITY});
+  for (const TiePoint& point : points)
+    for (const Sighting& s : point.sightings) {
+      rpc::Pixel &low = least[s.view], &high = most[s.view];
+      low = {std::min(low.x, s.pixel.x), std::min(low.y, s.pixel.y)};
+      high = {std::max(high.x, s.pixel.x), std::max(high.y, s.pixel.y)};
+    }
+  std::vector<Extent> out(cameras);
+  for (std::size_t i = 0; i < cameras; ++i) {
+    if (!(least[i].x <= most[i].x)) continue;
+    out[i].middle = {(least[i].x + most[i].x) / 2, (least[i].y + most[i].y) / 2};
+    out[i].reach = {std::max(1.0, (most[i].x - least[i].x) / 2),
+                    std::max(1.0, (most[i].y - least[i].y) / 2)};
+  }
+  return out;
+}
 
 /// Holds a point on its ray where two rays are parallel; far below what any parallax of use gives.
 constexpr double kDamping = 1e-9;  // px^2/m^2
 
+/// What cameras are off by: for each of them the shift, x and y, in the middle of its sightings, and if
+/// it has slopes what it changes by from there to the right and to the lower end of these.
+using Offsets = Eigen::VectorXd;
+
 class Bundle {
  public:
-  Bundle(const std::vector<rpc::Rpc>& cameras, const std::vector<TiePoint>& points, double height)
-      : cameras_(cameras), scale_(cameras.front().lat_off), tracks_(points.size()) {
+  /// functions  of the place in an image that the offsets are of: 1, or 3 with slopes
+  Bundle(const std::vector<rpc::Rpc>& cameras, const std::vector<TiePoint>& points, double height,
+         Eigen::Index functions = 1)
+      : cameras_(cameras),
+        scale_(cameras.front().lat_off),
+        functions_(functions),
+        extents_(extents_of(cameras.size(), points)),
+        tracks_(points.size()) {
     each([&](Track& t, std::size_t k) {
       t.tie = &points[k];
       const std::size_t n = t.tie->sightings.size();
@@ -60,16 +95,21 @@ class Bundle {
       t.ground = cameras_[first.view].localize(first.pixel, height);
       t.weight.assign(n, 1);
       t.residual.resize(n);
+      t.at.resize(n);
       t.jacobian.resize(n);
     });
   }
 
   const std::vector<Track>& tracks() const { return tracks_; }
+  const std::vector<Extent>& extents() const { return extents_; }
+  Eigen::Index unknowns() const {
+    return 2 * functions_ * static_cast<Eigen::Index>(cameras_.size());
+  }
 
   /// Moves every point to where its weighted rays meet best.
-  void triangulate(const std::vector<rpc::Pixel>& shifts, int steps) {
+  void triangulate(const Offsets& offsets, int steps) {
     each([&](Track& t, std::size_t) {
-      look(t, shifts);
+      look(t, offsets);
       for (int step = 0; step < steps; ++step) {
         Normal n = kDamping * Normal::Identity();
         Eigen::Vector3d g = Eigen::Vector3d::Zero();
@@ -78,7 +118,7 @@ class Bundle {
           g += t.weight[i] * t.jacobian[i].transpose() * t.residual[i];
         }
         scale_.move(t.ground, n.ldlt().solve(g));
-        look(t, shifts);
+        look(t, offsets);
       }
     });
   }
@@ -98,24 +138,20 @@ class Bundle {
     });
   }
 
-  /// Normal equations of the shifts alone, every point eliminated. `shifts` are those the residuals
-  /// were taken with; the solution is the whole shift, not a step.
-  void reduce(const std::vector<rpc::Pixel>& shifts, Eigen::MatrixXd& N, Eigen::VectorXd& g) const {
-    const auto size = static_cast<Eigen::Index>(2 * cameras_.size());
-    N.setZero(size, size);
-    g.setZero(size);
+  /// Normal equations of the offsets alone, every point eliminated. `offsets` are those the residuals
+  /// were taken with; the solution is the whole offset, not a step.
+  void reduce(const Offsets& offsets, Eigen::MatrixXd& N, Eigen::VectorXd& g) const {
+    N.setZero(unknowns(), unknowns());
+    g.setZero(unknowns());
     for (const Track& t : tracks_) {
       const auto m = static_cast<Eigen::Index>(t.weight.size());
       Eigen::MatrixXd J(2 * m, 3);
       Eigen::VectorXd y(2 * m), w(2 * m);
-      std::vector<Eigen::Index> at(static_cast<std::size_t>(2 * m));
       for (Eigen::Index i = 0; i < m; ++i) {
         const auto k = static_cast<std::size_t>(i);
-        const std::size_t view = t.tie->sightings[k].view;
         J.middleRows<2>(2 * i) = t.jacobian[k];
-        y.segment<2>(2 * i) = t.residual[k] + Eigen::Vector2d(shifts[view].x, shifts[view].y);
+        y.segment<2>(2 * i) = t.residual[k] + offset_at(offsets, t.tie->sightings[k].view, t.at[k]);
         w.segment<2>(2 * i).setConstant(t.weight[k]);
-        at[2 * k] = static_cast<Eigen::Index>(2 * view), at[2 * k + 1] = at[2 * k] + 1;
       }
       // M = W - W J (J' W J)^-1 J' W: what is left of the sightings once the point follows them
       const Eigen::MatrixXd WJ = w.asDiagonal() * J;
@@ -123,32 +159,46 @@ class Bundle {
       Eigen::MatrixXd M = -WJ * inner.ldlt().solve(WJ.transpose());
       M.diagonal() += w;
       const Eigen::VectorXd My = M * y;
-      for (Eigen::Index r = 0; r < 2 * m; ++r) {
-        const Eigen::Index row = at[static_cast<std::size_t>(r)];
-        g(row) += My(r);
-        for (Eigen::Index c = 0; c < 2 * m; ++c) N(row, at[static_cast<std::size_t>(c)]) += M(r, c);
-      }
+      const auto first = [&](Eigen::Index row) {  // unknown of its view and axis
+        const auto view =
+            static_cast<Eigen::Index>(t.tie->sightings[static_cast<std::size_t>(row / 2)].view);
+        return 2 * functions_ * view + row % 2;
+      };
+      const auto value = [&](Eigen::Index row, Eigen::Index function) {
+        return t.at[static_cast<std::size_t>(row / 2)][static_cast<std::size_t>(function)];
+      };
+      for (Eigen::Index r = 0; r < 2 * m; ++r)
+        for (Eigen::Index a = 0; a < functions_; ++a) {
+          const Eigen::Index row = first(r) + 2 * a;
+          g(row) += value(r, a) * My(r);
+          for (Eigen::Index c = 0; c < 2 * m; ++c)
+            for (Eigen::Index b = 0; b < functions_; ++b)
+              N(row, first(c) + 2 * b) += value(r, a) * value(c, b) * M(r, c);
+        }
     }
   }
 
-  /// Orthonormal columns that span the shifts whose displacements of the ground have a mean of zero.
-  /// Displacements and not pixels: one image may be turned against another, or coarser.
-  Eigen::MatrixXd shifts_that_leave_the_ground() const {
+  /// Orthonormal columns that span the offsets whose displacements of the ground in the middle of the
+  /// points have a mean of zero. Displacements and not pixels: one image may be turned against
+  /// another, or coarser.
+  Eigen::MatrixXd offsets_that_leave_the_ground() const {
     rpc::Geodetic middle;
     for (const Track& t : tracks_) {
       const double share = 1 / static_cast<double>(tracks_.size());
       middle.lon += share * t.ground.lon, middle.lat += share * t.ground.lat;
       middle.h += share * t.ground.h;
     }
-    const auto size = static_cast<Eigen::Index>(2 * cameras_.size());
-    Eigen::MatrixXd ground_from_shifts(2, size);
+    Eigen::MatrixXd ground_from_offsets(2, unknowns());
     for (std::size_t i = 0; i < cameras_.size(); ++i) {
       const Eigen::Matrix2d plane = scale_.jacobian(cameras_[i], middle).leftCols<2>();
-      ground_from_shifts.middleCols<2>(static_cast<Eigen::Index>(2 * i)) = plane.inverse();
+      const auto at = functions_at(i, cameras_[i].project(middle));
+      for (Eigen::Index f = 0; f < functions_; ++f)
+        ground_from_offsets.middleCols<2>(2 * (functions_ * static_cast<Eigen::Index>(i) + f)) =
+            at[static_cast<std::size_t>(f)] * plane.inverse();
     }
     const Eigen::MatrixXd all =
-        Eigen::HouseholderQR<Eigen::MatrixXd>(ground_from_shifts.transpose()).householderQ();
-    return all.rightCols(size - 2);
+        Eigen::HouseholderQR<Eigen::MatrixXd>(ground_from_offsets.transpose()).householderQ();
+    return all.rightCols(unknowns() - 2);
   }
 
   double mean_weight_of_a_view() const {
@@ -159,12 +209,28 @@ class Bundle {
   }
 
  private:
+  std::array<double, 3> functions_at(std::size_t view, const rpc::Pixel& p) const {
+    const Extent& e = extents_[view];
+    return {1, (p.x - e.middle.x) / e.reach.x, (p.y - e.middle.y) / e.reach.y};
+  }
+
+  Eigen::Vector2d offset_at(const Offsets& offsets, std::size_t view,
+                            const std::array<double, 3>& at) const {
+    Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+    for (Eigen::Index f = 0; f < functions_; ++f)
+      sum += at[static_cast<std::size_t>(f)] *
+             offsets.segment<2>(2 * (functions_ * static_cast<Eigen::Index>(view) + f));
+    return sum;
+  }
+
   /// Residuals and derivatives where the point lies now.
-  void look(Track& t, const std::vector<rpc::Pixel>& shifts) const {
+  void look(Track& t, const Offsets& offsets) const {
     for (std::size_t i = 0; i < t.weight.size(); ++i) {
       const Sighting& s = t.tie->sightings[i];
       const rpc::Pixel p = cameras_[s.view].project(t.ground);
-      t.residual[i] = {s.pixel.x - p.x - shifts[s.view].x, s.pixel.y - p.y - shifts[s.view].y};
+      t.at[i] = functions_at(s.view, p);
+      const Eigen::Vector2d off = offset_at(offsets, s.view, t.at[i]);
+      t.residual[i] = {s.pixel.x - p.x - off[0], s.pixel.y - p.y - off[1]};
       t.jacobian[i] = scale_.jacobian(cameras_[s.view], t.ground);
     }
   }
@@ -179,6 +245,8 @@ class Bundle {
 
   const std::vector<rpc::Rpc>& cameras_;
   GroundScale scale_;
+  Eigen::Index functions_;
+  std::vector<Extent> extents_;
   std::vector<Track> tracks_;
 };
 
@@ -207,7 +275,10 @@ TieResiduals tie_residuals(const std::vector<rpc::Rpc>& cameras,
                            const std::vector<TiePoint>& points, double height) {
   constexpr int kSteps = 4;  // the rays are all but straight
   Bundle bundle(cameras, points, height);
-  bundle.triangulate(shifts, kSteps);
+  Offsets offsets(bundle.unknowns());
+  for (std::size_t i = 0; i < shifts.size(); ++i)
+    offsets.segment<2>(2 * static_cast<Eigen::Index>(i)) << shifts[i].x, shifts[i].y;
+  bundle.triangulate(offsets, kSteps);
   const std::size_t n = cameras.size();
   std::vector<std::vector<double>> across(n * n), along(n * n);
   for (const Track& t : bundle.tracks())
@@ -232,7 +303,8 @@ TieResiduals tie_residuals(const std::vector<rpc::Rpc>& cameras,
 }
 
 PointingAdjustment adjust_pointing(const std::vector<rpc::Rpc>& cameras,
-                                   const std::vector<TiePoint>& points, double height) {
+                                   const std::vector<TiePoint>& points, double height,
+                                   bool affine) {
   constexpr int kMostPasses = 25;
   constexpr double kStill = 1e-3;  // px; below it the shifts have settled
   // A shift of one pixel that leaves the rays less than a tenth of a pixel apart is not told from a
@@ -241,17 +313,17 @@ PointingAdjustment adjust_pointing(const std::vector<rpc::Rpc>& cameras,
   if (points.empty() || cameras.size() < 2)
     throw Error("adjust_pointing: " + std::to_string(points.size()) + " points in " +
                 std::to_string(cameras.size()) + " images, expected some in two or more");
-  const auto n = static_cast<Eigen::Index>(cameras.size());
   PointingAdjustment out;
-  out.shifts.resize(cameras.size());
-  Bundle bundle(cameras, points, height);
-  bundle.triangulate(out.shifts, 3);
+  const Eigen::Index functions = affine ? 3 : 1;
+  Bundle bundle(cameras, points, height, functions);
+  Offsets offsets = Offsets::Zero(bundle.unknowns());
+  bundle.triangulate(offsets, 3);
 
-  const Eigen::MatrixXd free = bundle.shifts_that_leave_the_ground();
+  const Eigen::MatrixXd free = bundle.offsets_that_leave_the_ground();
   Eigen::MatrixXd N;
   Eigen::VectorXd g;
   for (int pass = 0; pass < kMostPasses; ++pass) {
-    bundle.reduce(out.shifts, N, g);
+    bundle.reduce(offsets, N, g);
     const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(free.transpose() * N * free);
     const Eigen::VectorXd wanted = eigen.eigenvectors().transpose() * (free.transpose() * g);
     Eigen::VectorXd solution = Eigen::VectorXd::Zero(wanted.size());
@@ -262,17 +334,24 @@ PointingAdjustment adjust_pointing(const std::vector<rpc::Rpc>& cameras,
       solution[k] = wanted[k] / eigen.eigenvalues()[k];
       ++out.observable;
     }
-    const Eigen::VectorXd shift = free * (eigen.eigenvectors() * solution);
+    const Offsets next = free * (eigen.eigenvectors() * solution);
     double moved = 0;
-    for (Eigen::Index i = 0; i < n; ++i) {
-      rpc::Pixel& s = out.shifts[static_cast<std::size_t>(i)];
-      moved = std::max(moved, std::hypot(shift[2 * i] - s.x, shift[2 * i + 1] - s.y));
-      s = {shift[2 * i], shift[2 * i + 1]};
-    }
-    bundle.triangulate(out.shifts, 1);
+    for (Eigen::Index i = 0; i < next.size(); i += 2)
+      moved = std::max(moved, std::hypot(next[i] - offsets[i], next[i + 1] - offsets[i + 1]));
+    offsets = next;
+    bundle.triangulate(offsets, 1);
     if (pass > 0 && moved < kStill) break;
     bundle.weigh();
-    bundle.triangulate(out.shifts, 1);
+    bundle.triangulate(offsets, 1);
+  }
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    const Eigen::Index at = 2 * functions * static_cast<Eigen::Index>(i);
+    out.shifts.push_back({offsets[at], offsets[at + 1]});
+    if (!affine) continue;
+    const auto& [middle, reach] = bundle.extents()[i];
+    out.slopes.push_back({middle,
+                          {{{offsets[at + 2] / reach.x, offsets[at + 4] / reach.y},
+                            {offsets[at + 3] / reach.x, offsets[at + 5] / reach.y}}}});
   }
   return out;
 }

@@ -38,8 +38,9 @@ TieResiduals tie_residuals(const std::vector<rpc::Rpc>& cameras,
 
 /// Shifts of several images that make their rays meet.
 struct PointingAdjustment {
-  std::vector<rpc::Pixel> shifts;  ///< to add to where each camera sees a point, px; see below
-  Index observable = 0;            ///< combinations of the shifts that the points determine
+  std::vector<rpc::Pixel> shifts;       ///< to add to where each camera sees a point, px; see below
+  std::vector<rpc::ShiftSlope> slopes;  ///< what they change by within the images; or empty
+  Index observable = 0;                 ///< combinations of these that the points determine
 };
 
 /// One shift for each image, from all tie points together: least squares over shifts and ground
@@ -49,9 +50,12 @@ struct PointingAdjustment {
 /// stays zero: moving all of the ground moves every image, and the mean of the displacements that
 /// the shifts mean on the ground is the horizontal part of that; lifting it moves them along their
 /// epipolar directions, and of two images the whole shift along that direction is such a lift.
+/// With `affine`, s_i is a shift and a slope, so that it changes linearly within an image; then the
+/// mean displacement is that in the middle, and the ground's own slopes and scales stay, too.
 /// cameras, points, height  as in `tie_residuals`; each camera sees some of the points
 /// throws                   Error without points
 PointingAdjustment adjust_pointing(const std::vector<rpc::Rpc>& cameras,
-                                   const std::vector<TiePoint>& points, double height);
+                                   const std::vector<TiePoint>& points, double height,
+                                   bool affine = false);
 
 }  // namespace satsurf::scene

@@ -133,7 +133,7 @@ std::vector<rpc::Geodetic> places_for_ties(const Survey& survey) {
 
 /// Tie points of the whole images, found in windows of them.
 /// shifts  by which the cameras are known to be off
-std::vector<TiePoint> ties_in_windows(const Survey& survey, const std::vector<rpc::Pixel>& shifts,
+std::vector<TiePoint> ties_in_windows(const Survey& survey, const std::vector<KnownShift>& shifts,
                                       const std::function<void()>& poll) {
   std::vector<TiePoint> out;
   for (const rpc::Geodetic& place : places_for_ties(survey)) {
@@ -148,7 +148,9 @@ std::vector<TiePoint> ties_in_windows(const Survey& survey, const std::vector<rp
       const auto window = inside(view, p.x - kHalf, p.y - kHalf, p.x + kHalf - 1, p.y + kHalf - 1);
       if (!window) continue;
       views.push_back(view_in(survey, i, *window, counted_window(survey, view, *window)));
-      views.back().rpc = views.back().rpc.cropped(-shifts[i].x, -shifts[i].y);
+      views.back().rpc = views.back().rpc.corrected(
+          shifts[i].shift, shifts[i].slope.cropped(static_cast<double>(window->x0),
+                                                   static_cast<double>(window->y0)));
       numbers.push_back(i), windows.push_back(*window);
     }
     if (views.size() < 2) continue;
@@ -183,7 +185,8 @@ void shift_copies(Survey& survey) {
   for (std::size_t i = 0; i < survey.views.size(); ++i) {
     const rpc::Pixel& s = survey.user.pointing->shifts[i];
     View& copy = survey.user.scene.views[i];
-    copy.rpc = copy.rpc.cropped(-s.x / f, -s.y / f);
+    copy.rpc =
+        copy.rpc.corrected({s.x / f, s.y / f}, survey.user.pointing->slope(i).resized(1 / f));
   }
 }
 
@@ -193,15 +196,15 @@ void correct_pointing(Survey& survey, const PointingChoice& choice,
   if (!choice.given && !choice.measure) return;
   const std::vector<View> heads = heads_of(survey);
   const double height = survey.user.range.height_range.middle();
-  const std::vector<rpc::Pixel> known =
-      choice.given ? shifts_of(heads, *choice.given) : std::vector<rpc::Pixel>(survey.views.size());
+  const std::vector<KnownShift> known =
+      choice.given ? shifts_of(heads, *choice.given) : std::vector<KnownShift>(survey.views.size());
   const std::vector<TiePoint> ties = ties_in_windows(survey, known, poll);
   survey.user.pointing = choice.given ? given_pointing(heads, known, ties, height)
-                                      : pointing_from(heads, ties, height);
+                                      : pointing_from(heads, ties, height, choice.affine);
   if (!survey.user.pointing->applied) return;
   for (std::size_t i = 0; i < survey.views.size(); ++i) {
-    const rpc::Pixel& s = survey.user.pointing->shifts[i];
-    survey.views[i].rpc = survey.views[i].rpc.cropped(-s.x, -s.y);
+    const Pointing& pointing = *survey.user.pointing;
+    survey.views[i].rpc = survey.views[i].rpc.corrected(pointing.shifts[i], pointing.slope(i));
   }
   shift_copies(survey);
 }

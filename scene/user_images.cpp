@@ -397,7 +397,7 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
 
   if (const PointingChoice& pointing = rules_.pointing; pointing.given || pointing.measure) {
     out.pointing = pointing.given ? given_pointing(scene.views, *pointing.given, first, poll)
-                                  : measure_pointing(scene.views, first, poll);
+                                  : measure_pointing(scene.views, first, poll, pointing.affine);
     if (out.pointing->applied) {
       apply_pointing(*out.pointing, scene.views);
       if (out.range.source == kMetadataRange && !holds(first, out.pointing->heights))

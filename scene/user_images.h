@@ -30,6 +30,7 @@ void check_height_range(const rpc::HeightRange& wanted);
 /// What is done about cameras that do not agree with one another.
 struct PointingChoice {
   bool measure = true;                 ///< and correct, if that is worth it; see `measure_pointing`
+  bool affine = false;                 ///< whether shifts may change within an image
   std::optional<NamedShifts> given{};  ///< instead of an estimate
 };
 

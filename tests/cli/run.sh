@@ -165,6 +165,12 @@ succeeds "shifts from a file" "$satsurf" reconstruct "${images[@]}" --out shifte
 holds "its shifts are those of the file" \
   diff <(grep shift_ out/pointing.json) <(grep shift_ shifted/pointing.json)
 holds "they are applied" grep -q '"verdict": "as given"' shifted/pointing.json
+slopes_of() { grep -A 2 -E 'shift_|slope_|"at"' "$1/pointing.json" | sed -E 's/(\.[0-9]{6})[0-9]*/\1/'; }
+succeeds "shifts that change within images" "$satsurf" reconstruct "${images[@]}" --out sloped --weights $weights --mesh none --pointing affine --quiet
+holds "their slopes are told" grep -q '"slope_y": \[' sloped/pointing.json
+succeeds "shifts and slopes from a file" "$satsurf" reconstruct "${images[@]}" --out again --weights $weights --mesh none --pointing sloped/pointing.json --quiet
+holds "the same slopes" \
+  diff <(slopes_of sloped) <(slopes_of again)
 succeeds "cameras as they are" "$satsurf" reconstruct "${images[@]}" --out shifted --overwrite --weights $weights --mesh none --pointing off --quiet
 holds "nothing is said of shifts" test ! -e shifted/pointing.json
 refuses "shifts from nowhere" 1 "nowhere.json" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --pointing nowhere.json

@@ -150,6 +150,9 @@ void texts() {
   pointing.shifts = {{0.5, -0.25}, {-0.5, 0.25}};
   put("pointing", "a",
       written("p.json", [&](const fs::path& p) { scene::write_pointing(p, pointing); }));
+  pointing.slopes = {{{100, 200}, {{{1e-3, 0}, {0, -2e-3}}}}, {{50, 60}, {}}};
+  put("pointing", "sloped",
+      written("p.json", [&](const fs::path& p) { scene::write_pointing(p, pointing); }));
   put("area", "polygon",
       R"({"type":"FeatureCollection","features":[{"type":"Feature","properties":{},"geometry":{"type":"Polygon",)"
       R"("coordinates":[[[15,45],[15.01,45],[15.01,45.01],[15,45]]]}}]})");

@@ -11,8 +11,13 @@ namespace satsurf::fuzz {
 void run(std::string_view bytes) {
   const auto path = folder().put("pointing.json", bytes);
   only<IoError>([&] {
-    for (const auto& [name, shift] : scene::read_pointing(path))
-      require(std::isfinite(shift.x) && std::isfinite(shift.y), "shifts are finite");
+    for (const auto& [name, known] : scene::read_pointing(path)) {
+      require(std::isfinite(known.shift.x) && std::isfinite(known.shift.y), "shifts are finite");
+      require(std::isfinite(known.slope.at.x) && std::isfinite(known.slope.at.y),
+              "places are finite");
+      for (const auto& row : known.slope.per_pixel)
+        for (const double px : row) require(std::isfinite(px), "slopes are finite");
+    }
   });
 }
 

@@ -20,6 +20,15 @@ namespace {
 
 double distance(const Pixel& a, const Pixel& b) { return std::hypot(a.x - b.x, a.y - b.y); }
 
+/// Where a camera with a correction is to see a point.
+Pixel corrected_pixel(const Rpc& r, const Geodetic& p, const Pixel& shift,
+                      const ShiftSlope& slope) {
+  const Pixel q = r.project(p);
+  const double x = q.x - slope.at.x, y = q.y - slope.at.y;
+  const auto& s = slope.per_pixel;
+  return {q.x + shift.x + s[0][0] * x + s[0][1] * y, q.y + shift.y + s[1][0] * x + s[1][1] * y};
+}
+
 /// A point of the camera's validity box shrunk by `part`.
 Geodetic random_point(const Rpc& r, Rng& rng, double part = 0.9) {
   return {r.lon_off + std::abs(r.lon_scale) * rng.uniform(-part, part),
@@ -160,6 +169,35 @@ TEST_CASE("crop and resize move pixels and nothing else") {
   CHECK(r.cropped(7, 0).line_off == r.line_off);
 }
 
+TEST_CASE("a corrected camera sees every point further on") {
+  Rng rng(4);
+  const Rpc r = test::synthetic_rpc();
+  const Pixel shift{2.5, -7};
+  CHECK(r.corrected(shift) == r.cropped(-2.5, 7));
+  const ShiftSlope slope{{300, 1200}, {{{1.5e-3, -3e-3}, {0.5e-3, 2e-3}}}};
+  CHECK_FALSE(slope.empty());
+  CHECK(ShiftSlope{{300, 1200}, {}}.empty());
+  const Rpc whole = r.corrected(shift, slope),
+            crop = r.cropped(1200, 345).corrected(shift, slope.cropped(1200, 345)),
+            half = r.resized(0.5).corrected({1.25, -3.5}, slope.resized(0.5));
+  for (int i = 0; i < 50; ++i) {
+    const Geodetic p = random_point(r, rng, 1);
+    const Pixel wanted = corrected_pixel(r, p, shift, slope);
+    CHECK(distance(whole.project(p), wanted) < 0.01);
+    CHECK(distance(crop.project(p), {wanted.x - 1200, wanted.y - 345}) < 0.01);
+    CHECK(distance(half.resized(2).project(p), wanted) < 0.02);
+  }
+  // what leads right alone needs no other denominator
+  const ShiftSlope right{{5, 7}, {{{1.5e-3, 0}, {0, 0}}}};
+  const Geodetic p = random_point(r, rng);
+  CHECK(distance(r.corrected({}, right).project(p), corrected_pixel(r, p, {}, right)) < 1e-9);
+  Rpc broken = r;
+  broken.samp_den = {0, 1};  // zero in the middle
+  CHECK_THROWS_AS(broken.corrected({}, slope), Error);
+  broken.samp_den = {};
+  CHECK_THROWS_AS(broken.corrected({}, slope), Error);
+}
+
 TEST_CASE("localisation says which pixel and height it cannot serve") {
   Rpc r = test::synthetic_rpc();
   r.samp_num[7] = r.line_num[8] = 40;  // far too curved for Newton's method from the centre
@@ -179,17 +217,23 @@ TEST_CASE("real cameras: GDAL's transformer, differences, localisation") {
   if (data.empty()) return;
   const auto cameras = test::library(data);
   CHECK(cameras.size() >= 700);
-  double worst_gdal = 0, worst_jacobian = 0, worst_round_trip = 0;
+  double worst_gdal = 0, worst_jacobian = 0, worst_round_trip = 0, worst_correction = 0;
   for (std::size_t c = 0; c < cameras.size(); ++c) {
     CAPTURE(cameras[c].name);
     const Rpc& r = cameras[c].rpc;
     const test::GdalRpc oracle(r);
     Rng rng(c);
+    const auto per_pixel = [&] { return rng.uniform(-5, 5) / std::abs(r.samp_scale); };
+    const ShiftSlope slope{{r.samp_off, r.line_off},
+                           {{{per_pixel(), per_pixel()}, {per_pixel(), per_pixel()}}}};
+    const Rpc corrected = r.corrected({1, 2}, slope);
     for (int i = 0; i < 5; ++i) {
       const Geodetic p = random_point(r, rng);
       const Pixel pixel = r.project(p);
       worst_gdal = std::max(worst_gdal, distance(pixel, oracle.project(p)));
       worst_jacobian = std::max(worst_jacobian, worst_jacobian_error(r, p));
+      worst_correction = std::max(
+          worst_correction, distance(corrected.project(p), corrected_pixel(r, p, {1, 2}, slope)));
       const Geodetic back = r.localize(pixel, p.h);
       worst_round_trip = std::max(worst_round_trip, distance(pixel, r.project(back)));
       CHECK(std::abs(back.lon - p.lon) < 1e-10);
@@ -197,7 +241,9 @@ TEST_CASE("real cameras: GDAL's transformer, differences, localisation") {
     }
   }
   MESSAGE(cameras.size(), " cameras: GDAL ", worst_gdal, " px, Jacobian ", worst_jacobian,
-          " of the scale, round trip ", worst_round_trip, " px");
+          " of the scale, round trip ", worst_round_trip, " px, slopes of up to 5 px ",
+          worst_correction, " px");
+  CHECK(worst_correction < 0.01);
   CHECK(worst_gdal < 1e-6);
   CHECK(worst_jacobian < 1e-7);
   CHECK(worst_round_trip < 1e-6);

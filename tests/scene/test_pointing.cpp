@@ -117,7 +117,7 @@ TEST_CASE("pointing is recovered from images of one pass and of several dates") 
       CHECK(left_over(views, errors, p.shifts, place.heights.middle()) < c.most);
       if (length > 0)
         CHECK(left_over(views, errors, std::vector<rpc::Pixel>(views.size()), 0) > 0.2 * length);
-      CHECK(p.applied == (p.largest_shift() > 0.3));
+      CHECK(p.applied == (p.largest_shift > 0.3));
       CHECK(p.applied == (length > 0));
       // all but lifting the ground, of two images all but the shift across the epipolar direction
       CHECK(p.observable == 2 * c.views - 3);
@@ -236,6 +236,63 @@ TEST_CASE("adjustment of made-up tie points") {
   }
 }
 
+TEST_CASE("errors that change within images are found where shifts may") {
+  // The cameras are those of a strip, of which the image is a small part.
+  const Place place = place_of(SceneKind::village, 64, 4, true, 41);
+  std::vector<rpc::Rpc> cameras, off;
+  for (const View& v : place.scene.views) cameras.push_back(v.rpc);
+  const double height = place.heights.middle();
+  bool sloped = false;
+  SUBCASE("they do") { sloped = true; }
+  SUBCASE("they do not") {}
+  Rng rng(5);
+  const auto errors = errors_of(4, 5, 9);
+  for (std::size_t i = 0; i < 4; ++i) {
+    rpc::ShiftSlope slope{{32, 32}, {}};
+    for (auto& row : slope.per_pixel)
+      for (double& px : row) px = sloped ? rng.uniform(-1e-3, 1e-3) : 0;
+    off.push_back(cameras[i].corrected({-errors[i].x, -errors[i].y}, slope));
+  }
+  std::vector<TiePoint> points;
+  for (int k = 0; k < 800; ++k) {
+    const rpc::Geodetic at = cameras[0].localize(
+        {rng.uniform(-4000, 4000), rng.uniform(-4000, 4000)}, height + rng.uniform(-20, 20));
+    TiePoint point;
+    for (std::size_t i = 0; i < cameras.size(); ++i) {
+      rpc::Pixel p = cameras[i].project(at);
+      p = {p.x + 0.2 * rng.normal(), p.y + 0.2 * rng.normal()};
+      if (rng.chance(0.05)) p.x += rng.uniform(-30, 30), p.y += rng.uniform(-30, 30);
+      point.sightings.push_back({i, p});
+    }
+    points.push_back(point);
+  }
+  const PointingAdjustment shifted = adjust_pointing(off, points, height),
+                           found = adjust_pointing(off, points, height, true);
+  CHECK(shifted.slopes.empty());
+  REQUIRE(found.slopes.size() == 4);
+  CHECK(found.observable > shifted.observable);
+  std::vector<rpc::Rpc> by_shifts, by_slopes;
+  for (std::size_t i = 0; i < 4; ++i) {
+    by_shifts.push_back(off[i].corrected(shifted.shifts[i]));
+    by_slopes.push_back(off[i].corrected(found.shifts[i], found.slopes[i]));
+  }
+  const auto across = [&](const std::vector<rpc::Rpc>& of) {
+    return mean_across(tie_residuals(of, std::vector<rpc::Pixel>(4), points, height).pairs);
+  };
+  const double truth = across(cameras);
+  CHECK(across(off) > 2 * truth);
+  CHECK(across(by_slopes) < 1.05 * truth);
+  if (sloped) {
+    CHECK(across(by_shifts) > 3 * truth);
+    return;
+  }
+  // Where nothing changes within images nothing is made to.
+  CHECK(across(by_shifts) < 1.05 * truth);
+  for (const rpc::ShiftSlope& slope : found.slopes)
+    for (const auto& row : slope.per_pixel)
+      for (const double px : row) CHECK(std::abs(4000 * px) < 0.15);
+}
+
 TEST_CASE("images that share too little are not corrected, the others are") {
   Place place = place_of(SceneKind::village, 192, 3, true, 40);
   std::vector<View>& views = place.scene.views;
@@ -268,10 +325,40 @@ TEST_CASE("images that share too little are not corrected, the others are") {
     const Pointing p = measure_pointing(views, place.heights);
     CHECK_FALSE(p.applied);
     CHECK(p.after.empty());
-    CHECK(p.largest_shift() == 0);
+    CHECK(p.largest_shift == 0);
     CHECK(p.verdict.starts_with("not estimated: place_002 shares "));
     CHECK(p.verdict.ends_with(" tie points with another image, expected 20 or more"));
   }
+}
+
+TEST_CASE("pointing that changes within images") {
+  Place place = place_of(SceneKind::city, 384, 3, true, 40);
+  std::vector<View>& views = place.scene.views;
+  // 1 px from the middle to a side
+  views[0].rpc = views[0].rpc.corrected({1, 3}, {{192, 192}, {{{5e-3, -2e-3}, {2e-3, -5e-3}}}});
+  const Pointing shifted = measure_pointing(views, place.heights),
+                 found = measure_pointing(views, place.heights, {}, true);
+  INFO(found.verdict);
+  REQUIRE(found.applied);
+  CHECK(shifted.slopes.empty());
+  CHECK(mean_across(found.after) < 0.4);
+  CHECK(mean_across(shifted.after) > 1.5 * mean_across(found.after));
+  double largest = 0;
+  for (const rpc::Pixel& s : found.shifts) largest = std::max(largest, std::hypot(s.x, s.y));
+  CHECK(found.largest_shift > largest);
+  const test::TempFolder folder("slopes");
+  write_pointing(folder / "pointing.json", found);
+  const Pointing again =
+      given_pointing(views, read_pointing(folder / "pointing.json"), place.heights);
+  std::vector<View> once = views, twice = views;
+  apply_pointing(found, once);
+  apply_pointing(again, twice);
+  for (std::size_t i = 0; i < 3; ++i) {
+    const rpc::Geodetic p = views[i].rpc.localize({50, 300}, place.heights.middle());
+    CHECK(once[i].rpc.project(p).x == doctest::Approx(twice[i].rpc.project(p).x).epsilon(1e-9));
+    CHECK(once[i].rpc.project(p).y == doctest::Approx(twice[i].rpc.project(p).y).epsilon(1e-9));
+  }
+  CHECK(mean_across(again.after) < 0.4);
 }
 
 TEST_CASE("a file of shifts") {
@@ -297,6 +384,13 @@ TEST_CASE("a file of shifts") {
       CHECK(once[i].rpc.samp_off == views[i].rpc.samp_off + found.shifts[i].x);
       CHECK(once[i].rpc.line_off == views[i].rpc.line_off + found.shifts[i].y);
     }
+  }
+  SUBCASE("slopes that no camera can have") {
+    NamedShifts steep = read;
+    steep.at("place_002").slope = {{0, 0}, {{{0, 1e9}, {0, 0}}}};
+    CHECK_THROWS_WITH_AS(given_pointing(views, steep, place.heights),
+                         doctest::Contains("pointing: the slopes of place_002 suit no camera: "),
+                         ConfigError);
   }
   SUBCASE("an image that is not in it") {
     views[1].name = "other";
@@ -324,5 +418,12 @@ TEST_CASE("a file of shifts") {
     CHECK(refusal("{\"images\": [" + a + "," + a + "]}") ==
           ": a comes twice, expected every image once");
     CHECK(refusal("{\"images\": [" + a + "]}") == "accepted");
+    const auto sloped = [&](const std::string& slope) {
+      return refusal(R"({"images": [{"name": "a", "shift_x": 1, "shift_y": 2, "slope_x": )" +
+                     slope + "}]}");
+    };
+    CHECK(sloped("[1, -2.5]") == "accepted");
+    for (const char* bad : {"3", "[1]", "[1, 2, 3]", "[1, \"2\"]", "{}"})
+      CHECK(sloped(bad) == ": a: expected two numbers slope_x");
   }
 }
