@@ -3,6 +3,7 @@
 
 #include "satsurf/core/error.h"
 #include "satsurf/core/memory.h"
+#include "satsurf/reconstruct/tile_cut.h"
 #include "satsurf/rpc/fit.h"
 
 #include <algorithm>
@@ -14,11 +15,8 @@
 namespace satsurf::reconstruct {
 namespace {
 
-constexpr Index kOverlap = 32;  // cells; twice as many blend two neighbours
-constexpr Index kSlack = 8;     // px of a window for rounding and interpolation
-constexpr double kLocal = 0.2;  // of a window at most, for the parallax of a tile's heights
-constexpr double kWider = 1.2;  // the range of a tile, of what the hypotheses span
-constexpr double kMostTiles = 1e6;
+constexpr Index kOverlap = 32;       // cells; twice as many blend two neighbours
+constexpr double kWider = 1.2;       // the range of a tile, of what the hypotheses span
 constexpr Index kLeastWindow = 256;  // px; below, hardly anything is left between the overlaps
 
 /// What the program takes beside one tile's work: the reduced copies, the windows of the next tile
@@ -67,152 +65,6 @@ double memory_of_rows(const Tiling& tiling, bool colour) {
   for (const Tile& tile : tiling.tiles) tallest = std::max(tallest, tile.all.height());
   return 300e6 + sizeof(float) * planes * static_cast<double>(tiling.grid.width) *
                      static_cast<double>(tallest);
-}
-
-/// One axis of a view's window: pixels along it that a column and a row of the surface's cells take,
-/// and how many of them cells may take, the rest being for the heights.
-struct Axis {
-  double column = 0, row = 0, room = 0;
-  bool upright = false;  ///< the window's rows, north up
-};
-
-/// Which row of a camera's derivatives is the axis of north, see `scene::quarters_to_north`.
-std::size_t upright_row(const rpc::PixelJacobian& camera) {
-  return std::abs(camera[1][1]) >= std::abs(camera[0][1]) ? 1 : 0;
-}
-
-/// How tiles along some axes would be cut, of what is seen of a grid.
-struct Cut {
-  TileAxes axes;
-  std::array<Index, 2> begin{}, end{};  ///< of all tiles, along both axes, cells
-  Index columns = 1, rows = 0;
-  double cost = INFINITY;  ///< pixels of the windows of one view, and what cells beside tiles take
-
-  /// Where the parts of a side begin and end.
-  double boundary(std::size_t axis, Index k) const {
-    const Index side = end[axis] - begin[axis], parts = axis == 0 ? columns : rows;
-    return axes.sine == 0 ? static_cast<double>(begin[axis] + side * k / parts)
-                          : static_cast<double>(begin[axis]) + static_cast<double>(side) *
-                                                                   static_cast<double>(k) /
-                                                                   static_cast<double>(parts);
-  }
-  /// Of the upright rectangle around a tile and what it shares.
-  double cells_of_tile(Index overlap) const {
-    std::array<double, 2> side{};
-    for (std::size_t k = 0; k < 2; ++k) {
-      const Index parts = k == 0 ? columns : rows;
-      side[k] = static_cast<double>(end[k] - begin[k]) / static_cast<double>(parts) +
-                static_cast<double>(parts > 1 ? 2 * overlap : 0);
-    }
-    const double c = std::abs(axes.cosine), t = std::abs(axes.sine);
-    return (c * side[0] + t * side[1]) * (t * side[0] + c * side[1]);
-  }
-};
-
-/// Parts of a side whose cores leave room for the overlap.
-/// most  cells of a part
-Index parts_of(Index cells, double most, Index overlap) {
-  if (static_cast<double>(cells) <= most) return 1;
-  // A window of NaN holds no cell.
-  const auto core = most >= static_cast<double>(4 * overlap)
-                        ? static_cast<Index>(most) - 2 * overlap
-                        : 2 * overlap;
-  return (cells + core - 1) / core;
-}
-
-/// What tiles are cut for.
-struct CutRules {
-  Grid grid;
-  const std::vector<rpc::PixelJacobian>& cameras;  ///< of the views, in the middle of the ground
-  const scene::Polygon& seen;                      ///< of the ground, local m
-  double z_span = 0;                               ///< of the heights, m
-  Index overlap = 0;                               ///< cells
-  Index window = 0, multiple = 1;  ///< largest side of windows, what theirs are multiples of, px
-
-  /// The axes of all windows when tiles lie along `axes`.
-  std::vector<Axis> window_axes(const TileAxes& axes) const {
-    const auto S = static_cast<double>(window - kSlack);
-    std::vector<Axis> out;
-    for (const rpc::PixelJacobian& camera : cameras)
-      for (std::size_t k = 0; k < 2; ++k) {
-        const auto [east, north, up] = camera[k];
-        const auto [column, row] = axes.along(east, -north);
-        out.push_back({std::abs(column) * grid.step, std::abs(row) * grid.step,
-                       std::max(S - std::abs(up) * z_span, (1 - kLocal) * S),
-                       k == upright_row(camera)});
-      }
-    return out;
-  }
-};
-
-/// The columns and rows of tiles that need the fewest pixels of windows. Tiles are the longer, the
-/// less of the window the heights take along them.
-Cut best_cut(const CutRules& rules, const TileAxes& turned) {
-  // Of the time of a tile; the surface is made of the upright rectangle around it.
-  constexpr double kSurface = 0.2;
-  constexpr Index kTried = 64;  // numbers of columns, for each multiple of the fewest
-  Cut best{.axes = turned};
-  if (turned.sine == 0) {
-    best.end = {rules.grid.width, rules.grid.height};
-  } else {
-    std::array<double, 2> least{INFINITY, INFINITY}, most{-INFINITY, -INFINITY};
-    for (const auto& [x, y] : rules.seen) {
-      const auto at = turned.along((x - rules.grid.east) / rules.grid.step,
-                                   (rules.grid.north - y) / rules.grid.step);
-      for (std::size_t k = 0; k < 2; ++k)
-        least[k] = std::min(least[k], at[k]), most[k] = std::max(most[k], at[k]);
-    }
-    for (std::size_t k = 0; k < 2; ++k)
-      best.begin[k] = static_cast<Index>(std::floor(least[k])),
-      best.end[k] = static_cast<Index>(std::ceil(most[k]));
-  }
-  const std::vector<Axis> axes = rules.window_axes(turned);
-  const Index wide_cells = best.end[0] - best.begin[0], high_cells = best.end[1] - best.begin[1],
-              overlap = rules.overlap;
-  const auto cells_of = [&](Index side, Index parts) {
-    return static_cast<double>(side) / static_cast<double>(parts) +
-           static_cast<double>(parts > 1 ? 2 * overlap : 0);
-  };
-  double widest = INFINITY;
-  for (const Axis& axis : axes) widest = std::min(widest, axis.room / axis.column);
-  const Index first = parts_of(wide_cells, widest, overlap);
-  const Index step = std::max<Index>(1, first / kTried);
-  for (Index columns = first; columns <= 4 * first + 4; columns += step) {
-    const double wide = cells_of(wide_cells, columns);
-    double highest = INFINITY;
-    for (const Axis& axis : axes)
-      highest = std::min(highest, (axis.room - axis.column * wide) / axis.row);
-    const Index rows = parts_of(high_cells, highest, overlap);
-    const double high = cells_of(high_cells, rows);
-    std::array<double, 2> side{};
-    for (const Axis& axis : axes) {
-      double& of = side[axis.upright ? 1 : 0];
-      of = std::max(
-          of, axis.column * wide + axis.row * high + static_cast<double>(rules.window) - axis.room);
-    }
-    const double of = static_cast<double>(rules.multiple);
-    const double cost = static_cast<double>(columns) * static_cast<double>(rows) *
-                        std::ceil(side[0] / of) * std::ceil(side[1] / of) *
-                        (1 + kSurface * (turned.spread() - 1));
-    if (cost < best.cost || best.rows == 0)
-      best.cost = cost, best.columns = columns, best.rows = rows;
-    if (2 * overlap >= wide_cells / columns || static_cast<double>(columns) > kMostTiles) break;
-  }
-  return best;
-}
-
-/// The best of all directions, or that of the grid where hardly any is better.
-Cut best_direction(const CutRules& rules) {
-  constexpr double kWorth = 0.95;
-  const Cut upright = best_cut(rules, {});
-  if (static_cast<double>(upright.columns) * static_cast<double>(upright.rows) > kMostTiles ||
-      rules.seen.empty())
-    return upright;
-  Cut best;
-  for (int degrees = -44; degrees <= 45; ++degrees)
-    if (const Cut cut = best_cut(rules, TileAxes::turned(degrees)); cut.cost < best.cost)
-      best = cut;
-  return best.cost < kWorth * upright.cost ? best : upright;
 }
 
 /// Tiles in equal columns and rows.
@@ -273,7 +125,7 @@ Look look_at(const scene::Survey& survey, const Tiling& tiling, const Tile& tile
   const auto rounded = [&](double px) {
     return std::min(
         tiling.window,
-        scene::rounded_up({static_cast<Index>(std::ceil(px + kSlack)), 1}, multiple).height);
+        scene::rounded_up({static_cast<Index>(std::ceil(px + kWindowSlack)), 1}, multiple).height);
   };
   return {std::min(views, tiling.views), {rounded(side[1]), rounded(side[0])}};
 }

@@ -23,7 +23,7 @@ get_target_property(splat_sources satsurf_splat SOURCES)
 list(REMOVE_ITEM splat_sources splat/ply.cpp)
 get_target_property(scene_sources satsurf_scene SOURCES)
 list(FILTER scene_sources EXCLUDE REGEX "^scene/(simulate/|pointing_file)")
-set(fuzzed ${splat_sources} ${scene_sources} reconstruct/plan.cpp reconstruct/tiling.cpp app/picture.cpp app/record.cpp
+set(fuzzed ${splat_sources} ${scene_sources} reconstruct/plan.cpp reconstruct/tile_cut.cpp reconstruct/tiling.cpp app/picture.cpp app/record.cpp
     app/sha256.cpp app/tile_store.cpp)
 list(TRANSFORM fuzzed PREPEND ${PROJECT_SOURCE_DIR}/)
 add_library(satsurf_fuzzed STATIC ${fuzzed})

@@ -37,8 +37,9 @@ void run(std::string_view bytes) {
                       .pixels = std::span<const std::uint8_t>(texture),
                       .height_range = named});
   only<Error, ConfigError, IoError>([&] {
-    const scene::UserScene made =
-        scene::scene_from_images(images, wanted, {}, {.pointing = {.measure = (kind & 16) != 0}});
+    const scene::UserScene made = scene::scene_from_images(
+        images, wanted, {},
+        {.pointing = {.measure = (kind & 16) != 0, .affine = (kind & 32) != 0}});
     require(made.scene.views.size() >= 2, "a scene has views");
     require(made.scene.z_range.has_span(), "a scene has a range of heights");
   });
