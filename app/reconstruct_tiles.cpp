@@ -24,7 +24,6 @@
 #include "satsurf/splat/select.h"
 
 #include <algorithm>
-#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -315,14 +314,9 @@ nlohmann::ordered_json table_json(const Tiling& tiling, const std::vector<TileRe
          r.expected > 0 ? static_cast<double>(r.found) / static_cast<double>(r.expected) : 0.0}};
     if (tiling.axes.sine != 0) {
       auto corners = nlohmann::ordered_json::array();
-      for (const auto& [u, v] : {std::array{tile.begin[0], tile.begin[1]},
-                                 {tile.end[0], tile.begin[1]},
-                                 {tile.end[0], tile.end[1]},
-                                 {tile.begin[0], tile.end[1]}}) {
-        const auto [x, y] = tiling.axes.place(u, v);
-        corners.push_back({tiling.grid.east + x * tiling.grid.step + frame.easting0,
-                           tiling.grid.north - y * tiling.grid.step + frame.northing0});
-      }
+      const scene::Polygon ground = tiling.corners_of(tile);
+      for (auto at = ground.rbegin(); at != ground.rend(); ++at)  // from the north-west, clockwise
+        corners.push_back({(*at)[0] + frame.easting0, (*at)[1] + frame.northing0});
       row["corners"] = std::move(corners);
     }
     if (r.status == "done") {

@@ -2,7 +2,6 @@
 #include "satsurf/reconstruct/tile_cut.h"
 
 #include <algorithm>
-#include <utility>
 
 namespace satsurf::reconstruct {
 namespace {

@@ -170,10 +170,7 @@ Tile Tiling::tile(Index row, Index column, const std::array<double, 2>& begin,
   return {row, column, around(0), around(static_cast<double>(overlap)), begin, end};
 }
 
-scene::Polygon Tiling::ground_of(const Tile& tile) const {
-  const Ground box = grid_of(tile.all).ground();
-  if (axes.sine == 0) return scene::corners_of(box);
-  const auto margin = static_cast<double>(overlap);
+scene::Polygon Tiling::corners_of(const Tile& tile, double margin) const {
   const double u0 = tile.begin[0] - margin, v0 = tile.begin[1] - margin, u1 = tile.end[0] + margin,
                v1 = tile.end[1] + margin;
   scene::Polygon corners;
@@ -181,7 +178,13 @@ scene::Polygon Tiling::ground_of(const Tile& tile) const {
     const auto [x, y] = axes.place(u, v);
     corners.push_back({grid.east + x * grid.step, grid.north - y * grid.step});
   }
-  return scene::intersect(corners, scene::corners_of(box));
+  return corners;
+}
+
+scene::Polygon Tiling::ground_of(const Tile& tile) const {
+  const scene::Polygon box = scene::corners_of(grid_of(tile.all).ground());
+  if (axes.sine == 0) return box;
+  return scene::intersect(corners_of(tile, static_cast<double>(overlap)), box);
 }
 
 namespace {

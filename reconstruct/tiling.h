@@ -63,6 +63,9 @@ struct Tiling {
   /// A tile that answers for a rectangle along the axes, cells.
   Tile tile(Index row, Index column, const std::array<double, 2>& begin,
             const std::array<double, 2>& end) const;
+  /// The corners of what a tile answers for and `margin` cells more on every side, from that of the
+  /// first column and the last row on counter-clockwise, local m.
+  scene::Polygon corners_of(const Tile& tile, double margin = 0) const;
   /// The ground of a tile with what it shares with its neighbours, local m; empty beside the grid.
   scene::Polygon ground_of(const Tile& tile) const;
   /// Whether a cell, or a place in local m, is the tile's to answer for.
