@@ -184,10 +184,9 @@ nlohmann::ordered_json info_json(const Info& info) {
   json["pointing"] = pointing_json(pointing);
   for (std::size_t k = 0; k < pointing.before.size(); ++k) {
     const scene::PairResidual& before = pointing.before[k];
-    nlohmann::ordered_json pair{{"a", name(before.a)},
-                                {"b", name(before.b)},
-                                {"ties", before.ties},
-                                {"across", before.across}};
+    nlohmann::ordered_json pair{
+        {"a", name(before.a)}, {"b", name(before.b)}, {"ties", before.ties}, {"across", nullptr}};
+    if (before.ties > 0) pair["across"] = before.across;
     if (before.along) pair["along"] = *before.along;
     if (k < pointing.after.size() && before.ties > 0)
       pair["across_after"] = pointing.after[k].across;

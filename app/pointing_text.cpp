@@ -23,8 +23,8 @@ std::string pair_line(const scene::PairResidual& pair) {
 }
 
 std::string pointing_line(const scene::Pointing& pointing) {
-  const double before = scene::mean_across(pointing.before);
   if (pointing.after.empty()) return "pointing " + pointing.verdict;
+  const double before = scene::mean_across(pointing.before).value_or(0);
   const std::string measured =
       fmt::format("{:.2f} px across the epipolar direction at {} ties", before, ties_of(pointing));
   if (!pointing.applied)
@@ -32,16 +32,21 @@ std::string pointing_line(const scene::Pointing& pointing) {
   return fmt::format(
       "cameras disagreed by {}, {:.2f} px after shifts of up to {:.2f} px ({}; on the ground their "
       "mean is zero, so where the ground as a whole lies stays as the cameras have it)",
-      measured, scene::mean_across(pointing.after), pointing.largest_shift, pointing.verdict);
+      measured, scene::mean_across(pointing.after).value_or(0), pointing.largest_shift,
+      pointing.verdict);
 }
 
 nlohmann::ordered_json pointing_json(const scene::Pointing& pointing) {
-  nlohmann::ordered_json json{
-      {"applied", pointing.applied}, {"verdict", pointing.verdict},
-      {"ties", ties_of(pointing)},   {"across_before", scene::mean_across(pointing.before)},
-      {"across_after", nullptr},     {"largest_shift", pointing.largest_shift}};
-  if (!pointing.after.empty()) json["across_after"] = scene::mean_across(pointing.after);
-  return json;
+  const auto across = [](const std::vector<scene::PairResidual>& pairs) {
+    const std::optional<double> mean = scene::mean_across(pairs);
+    return mean ? nlohmann::ordered_json(*mean) : nlohmann::ordered_json();
+  };
+  return {{"applied", pointing.applied},
+          {"verdict", pointing.verdict},
+          {"ties", ties_of(pointing)},
+          {"across_before", across(pointing.before)},
+          {"across_after", across(pointing.after)},
+          {"largest_shift", pointing.largest_shift}};
 }
 
 }  // namespace satsurf::app

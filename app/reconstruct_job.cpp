@@ -102,14 +102,12 @@ void note_range(const scene::RangeChoice& choice, Progress& progress) {
                             choice.height_range.low, choice.height_range.high, choice.source));
 }
 
-/// Says how the cameras agree and what was done about it; warns where nothing could be measured, and
-/// where shifted cameras see the ground outside the range that was asked for.
+/// Says how the cameras agree and what was done about it; warns where shifted cameras see the ground
+/// outside the range that was asked for.
 void note_pointing(const scene::UserScene& user, Progress& progress) {
   if (!user.pointing) return;
   const scene::Pointing& pointing = *user.pointing;
-  const bool refused = pointing.after.empty();
-  progress.note(pointing_line(pointing) + (refused ? "; the cameras stay as they are" : ""),
-                refused ? LogLevel::warning : LogLevel::info);
+  if (!pointing.after.empty()) progress.note(pointing_line(pointing));
   const rpc::HeightRange& range = user.range.height_range;
   if (pointing.applied && pointing.heights &&
       (pointing.heights->low < range.low || pointing.heights->high > range.high))
@@ -221,6 +219,8 @@ void ReconstructJob::note_scene(const scene::UserScene& user) {
         "the terrain says no heights: " + user.range.trouble + "; they are " + user.range.source});
   note_borders(user.scene, progress);
   warnings.add(reconstruct::scene_warnings(user.scene));
+  if (user.pointing) warnings.add(reconstruct::pointing_warnings(*user.pointing, user.scene));
+  warnings.add(reconstruct::range_warnings(user));
   if (!staged) return;
   const std::vector<fs::path> files = inputs(user.scene);
   staged->add_inputs(files);

@@ -24,12 +24,23 @@ constexpr double kLowConfidence = 0.4;
 constexpr double kComplete = 0.8;
 constexpr double kWorstFit = 0.1;      // px; more shows in the heights
 constexpr double kUnconfirmed = 0.08;  // a cloud of a twelfth; other light and seasons reach 0.07
+constexpr double kDisagree = 1;        // px; images of different years are left with 0.7
+constexpr double kBelowTies = 60;      // m, or the span of the tie points if that is more
+constexpr double kLifted = 5;          // m; what vendors promise of their heights
 
 template <class... Args>
 std::string text_of(const char* format, Args... args) {
   std::array<char, 400> text{};
   std::snprintf(text.data(), text.size(), format, args...);
   return text.data();
+}
+
+/// A number with `digits` behind the point, or as many more as tell it from its limit.
+std::string apart_from(double limit, double value, int digits) {
+  constexpr int kMost = 6;
+  const auto text = [](double v, int n) { return text_of("%.*f", n, v); };
+  while (digits < kMost && value != limit && text(value, digits) == text(limit, digits)) ++digits;
+  return text(value, digits);
 }
 
 /// A number of a pair of views, and which they are.
@@ -67,6 +78,35 @@ std::array<double, 2> share_at_ends(const Tensor& z, const rpc::HeightRange& ran
   return {low / known, high / known};
 }
 
+/// Where views look from and how large their pixels are, in the middle of the scene.
+std::vector<rpc::ViewGeometry> geometry_of(const scene::Scene& scene) {
+  std::vector<rpc::ViewGeometry> out;
+  for (const scene::View& v : scene.views)
+    out.push_back(rpc::view_geometry(
+        rpc::pixel_jacobian(v.rpc, scene.frame, {0, 0, scene.z_range.middle()})));
+  return out;
+}
+
+/// By how much all heights together may be off, m. Lifting the ground by h moves view i against the
+/// mean of all by h d_i pixels, which no residual shows. Where shifts are off by chance, sigma px along
+/// each axis, the lift that best suits them has a deviation of
+///   sigma / sqrt(sum_i |d_i|^2)    with    sigma^2 = sum_i |s_i|^2 / (2 N - 3)
+/// taken from the shifts that were found, which are without lift and mean.
+double lift_deviation(const scene::Pointing& pointing, const scene::Scene& scene) {
+  const std::vector<rpc::ViewGeometry> geometry = geometry_of(scene);
+  const double n = static_cast<double>(geometry.size());
+  std::array<double, 2> mean{};
+  for (const rpc::ViewGeometry& g : geometry)
+    for (const std::size_t k : {0, 1}) mean[k] += g.direction[k] / n;
+  double moved = 0, shifts = 0;
+  for (std::size_t i = 0; i < geometry.size(); ++i) {
+    const auto& [direction, footprint] = std::pair(geometry[i].direction, geometry[i].footprint);
+    moved += std::pow(std::hypot(direction[0] - mean[0], direction[1] - mean[1]) / footprint, 2);
+    shifts += std::pow(std::hypot(pointing.shifts[i].x, pointing.shifts[i].y), 2);
+  }
+  return std::sqrt(shifts / (2 * n - 3) / moved);
+}
+
 double mean_of(const Tensor& t) {
   double sum = 0, n = 0;
   for (const float v : t.values())
@@ -78,13 +118,10 @@ double mean_of(const Tensor& t) {
 
 std::vector<Warning> scene_warnings(const scene::Scene& scene) {
   std::vector<Warning> out;
-  std::vector<rpc::ViewGeometry> geometry;
+  const std::vector<rpc::ViewGeometry> geometry = geometry_of(scene);
   double size = 0;
-  for (const scene::View& v : scene.views) {
-    geometry.push_back(rpc::view_geometry(
-        rpc::pixel_jacobian(v.rpc, scene.frame, {0, 0, scene.z_range.middle()})));
-    size += geometry.back().footprint / static_cast<double>(scene.views.size());
-  }
+  for (const rpc::ViewGeometry& g : geometry)
+    size += g.footprint / static_cast<double>(geometry.size());
   if (size < kLeastSize || size > kLargestSize)
     out.push_back({"ground_size", text_of("pixels of %.2f m on the ground, the network was trained "
                                           "on 0.3 to 0.6 m; expect more errors",
@@ -95,23 +132,24 @@ std::vector<Warning> scene_warnings(const scene::Scene& scene) {
   });
   if (base && base->second.value < kLeastBase)
     out.push_back({"little_parallax",
-                   text_of("the views are alike: no two are more than %.3f m of ground apart per "
-                           "metre of height, expected %.2f or more; heights are rough",
-                           base->second.value, kLeastBase)});
+                   text_of("the views are alike: no two are more than %s m of ground apart per "
+                           "metre of height, expected %g or more; heights are rough",
+                           apart_from(kLeastBase, base->second.value, 3).c_str(), kLeastBase)});
   if (base && base->first.value > kLargestBase)
     out.push_back({"much_parallax",
-                   text_of("the views are very unlike: even %s and %s are %.2f m of ground apart "
-                           "per metre of height, expected %.1f at most; walls hide much",
+                   text_of("the views are very unlike: even %s and %s are %s m of ground apart "
+                           "per metre of height, expected %g at most; walls hide much",
                            base->first.a->name.c_str(), base->first.b->name.c_str(),
-                           base->first.value, kLargestBase)});
+                           apart_from(kLargestBase, base->first.value, 2).c_str(), kLargestBase)});
   const auto suns = extremes(scene.views, [&](std::size_t i, std::size_t j) {
     return scene::suns_apart(scene.views[i], scene.views[j]);
   });
   if (suns && suns->second.value > kSunsApart)
-    out.push_back({"suns_apart", text_of("the sun of %s and %s is %.0f degrees apart, shadows lie "
-                                         "elsewhere; expected %.0f at most",
-                                         suns->second.a->name.c_str(), suns->second.b->name.c_str(),
-                                         suns->second.value, kSunsApart)});
+    out.push_back(
+        {"suns_apart", text_of("the sun of %s and %s is %s degrees apart, shadows lie "
+                               "elsewhere; expected %g at most",
+                               suns->second.a->name.c_str(), suns->second.b->name.c_str(),
+                               apart_from(kSunsApart, suns->second.value, 0).c_str(), kSunsApart)});
   const auto days = extremes(scene.views, [&](std::size_t i, std::size_t j) {
     return scene::days_apart(scene.views[i], scene.views[j]);
   });
@@ -122,6 +160,54 @@ std::vector<Warning> scene_warnings(const scene::Scene& scene) {
                                 days->second.a->name.c_str(), days->second.b->name.c_str(),
                                 days->second.value / 365.25)});
   return out;
+}
+
+std::vector<Warning> pointing_warnings(const scene::Pointing& pointing, const scene::Scene& scene) {
+  std::vector<Warning> out;
+  if (pointing.after.empty()) {
+    out.push_back({"pointing_unknown", "pointing " + pointing.verdict +
+                                           "; the cameras stay as they are, and may disagree"});
+    return out;
+  }
+  for (const std::size_t i : pointing.unconnected)
+    out.push_back(
+        {"pointing_unknown",
+         text_of("%s shares too few tie points with the other images: its camera stays as "
+                 "it is, and may disagree with theirs",
+                 pointing.names[i].c_str())});
+  if (pointing.undetermined > 0)
+    out.push_back(
+        {"pointing_in_part",
+         text_of("tie points determine %td of the %td combinations of the shifts that they "
+                 "ought to; the cameras may disagree otherwise",
+                 pointing.observable, pointing.observable + pointing.undetermined)});
+  const auto& left = pointing.applied ? pointing.after : pointing.before;
+  for (const scene::PairResidual& pair : left)
+    if (pair.ties >= scene::kFewestTies && pair.across > kDisagree)
+      out.push_back({"pointing_residual",
+                     text_of("%s and %s still disagree by %s px across the epipolar direction, "
+                             "expected %g at most; are these the shifts of these images?",
+                             pointing.names[pair.a].c_str(), pointing.names[pair.b].c_str(),
+                             apart_from(kDisagree, pair.across, 2).c_str(), kDisagree)});
+  if (const double lift = lift_deviation(pointing, scene); pointing.applied && lift > kLifted)
+    out.push_back(
+        {"heights_as_a_whole",
+         text_of("cameras that were off by %.1f px may put all heights together %.0f m too high or "
+                 "too low, which images do not show; points measured on the ground would",
+                 pointing.largest_shift, lift)});
+  return out;
+}
+
+std::vector<Warning> range_warnings(const scene::UserScene& user) {
+  if (!user.range.found || !user.pointing || !user.pointing->heights) return {};
+  const rpc::HeightRange &ties = *user.pointing->heights, &range = user.range.height_range;
+  if (ties.low - range.low <= std::max(kBelowTies, ties.span())) return {};
+  return {
+      {"wide_range",
+       text_of("the height range found begins at %.0f m, nine tenths of the tie points lie from "
+               "%.0f to %.0f m; one of the images may show something else than the others: give "
+               "--height-range, or leave it out",
+               range.low, ties.low, ties.high)}};
 }
 
 std::vector<Warning> surface_warnings(const Reconstruction& made) {
@@ -138,18 +224,20 @@ std::vector<Warning> surface_warnings(const Reconstruction& made) {
                    end == 0 ? range.low : range.high)});
   if (const double confidence = mean_of(made.confidence); confidence < kLowConfidence)
     out.push_back({"low_confidence",
-                   text_of("confidence %.2f on average, expected %.1f or more; the cameras or the "
+                   text_of("confidence %s on average, expected %g or more; the cameras or the "
                            "height range may be wrong, or the images too different",
-                           confidence, kLowConfidence)});
+                           apart_from(kLowConfidence, confidence, 2).c_str(), kLowConfidence)});
   if (made.completeness < kComplete)
-    out.push_back({"large_gaps", text_of("%.0f %% of the common ground has a height, expected %.0f "
-                                         "or more; the images may contradict each other",
-                                         100 * made.completeness, 100 * kComplete)});
+    out.push_back(
+        {"large_gaps", text_of("%s %% of the common ground has a height, expected %g "
+                               "or more; the images may contradict each other",
+                               apart_from(100 * kComplete, 100 * made.completeness, 0).c_str(),
+                               100 * kComplete)});
   if (made.camera_fit_max_px > kWorstFit)
     out.push_back({"camera_fit",
-                   text_of("cameras were fitted to %.2f px only, expected %.1f; the images may be "
+                   text_of("cameras were fitted to %s px only, expected %g; the images may be "
                            "too large or the height range too wide",
-                           made.camera_fit_max_px, kWorstFit)});
+                           apart_from(kWorstFit, made.camera_fit_max_px, 2).c_str(), kWorstFit)});
   return out;
 }
 
@@ -160,10 +248,12 @@ std::vector<Warning> image_warnings(const ImageAgreement& agreement,
   for (std::size_t i = 0; i < shares.size(); ++i)
     if (shares[i] > kUnconfirmed)
       out.push_back({"image_differs",
-                     text_of("%s: %.0f %% of the ground on which other images agree look different "
-                             "in it, expected %.0f or less: clouds, snow, another season or "
+                     text_of("%s: %s %% of the ground on which other images agree look different "
+                             "in it, expected %g or less: clouds, snow, another season or "
                              "light, changes? Heights there rest on the other images",
-                             views.at(i).name.c_str(), 100 * shares[i], 100 * kUnconfirmed)});
+                             views.at(i).name.c_str(),
+                             apart_from(100 * kUnconfirmed, 100 * shares[i], 0).c_str(),
+                             100 * kUnconfirmed)});
   return out;
 }
 
@@ -176,6 +266,19 @@ std::vector<std::pair<std::string, std::string>> warning_codes() {
       {"much_parallax", text_of("every two views are more than %g apart", kLargestBase)},
       {"suns_apart", text_of("suns more than %g degrees apart", kSunsApart)},
       {"dates_apart", text_of("dates more than %g days apart", kDaysApart)},
+      {"pointing_unknown",
+       "tie points connect an image too little with the others, or none at all"},
+      {"pointing_in_part", "of N images fewer than 2 N - 3 combinations of shifts are determined"},
+      {"pointing_residual", text_of("two images disagree by more than %g px across the epipolar "
+                                    "direction with the cameras that were used",
+                                    kDisagree)},
+      {"heights_as_a_whole",
+       text_of("shifts so large that all heights together may be more than %g "
+               "m off, one standard deviation",
+               kLifted)},
+      {"wide_range", text_of("a height range found by comparing images that begins more than %g m "
+                             "below the tie points, and more than these span",
+                             kBelowTies)},
       {"end_of_range", text_of("more than %g %% of the cells within %g %% of the height range "
                                "from one of its ends",
                                100 * kPiledUp, 100 * kEndOfRange)},

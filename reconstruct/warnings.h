@@ -3,6 +3,7 @@
 
 #include "satsurf/reconstruct/image_agreement.h"
 #include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/scene/user_images.h"
 
 #include <string>
 #include <utility>
@@ -19,6 +20,16 @@ struct Warning {
 /// What the images let fear before anything is computed: parallax too small or too large, suns or
 /// dates far apart, a ground size unlike anything the weights were trained on.
 std::vector<Warning> scene_warnings(const scene::Scene& scene);
+
+/// What the cameras let fear: pointing that could not be measured or not for all images, that the tie
+/// points determine in part only, after whose correction images still disagree, or so far off that
+/// all heights together may be.
+/// scene  whose cameras these are
+std::vector<Warning> pointing_warnings(const scene::Pointing& pointing, const scene::Scene& scene);
+
+/// What the heights to look at let fear: a range found far below all tie points, as where one of the
+/// images shows something else than the others.
+std::vector<Warning> range_warnings(const scene::UserScene& user);
 
 /// What the surface lets fear: heights piled up at an end of the range that was searched, low
 /// confidence, large gaps, cameras that their quadratics do not follow.

@@ -4,7 +4,9 @@
 #include "satsurf/core/error.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 #include <numeric>
 #include <utility>
@@ -12,7 +14,6 @@
 namespace satsurf::scene {
 namespace {
 
-constexpr Index kFewest = 20;   // points that make a pair believable
 constexpr double kWorth = 0.3;  // px; smaller shifts change no surface that anybody could tell
 
 std::vector<rpc::Rpc> cameras_of(const std::vector<View>& views) {
@@ -32,7 +33,7 @@ std::vector<std::size_t> groups_of(std::size_t images, const std::vector<PairRes
   std::vector<std::size_t> group(images);
   std::iota(group.begin(), group.end(), std::size_t{0});
   for (const PairResidual& pair : pairs) {
-    if (pair.ties < kFewest) continue;
+    if (pair.ties < kFewestTies) continue;
     const std::size_t from = std::max(group[pair.a], group[pair.b]),
                       to = std::min(group[pair.a], group[pair.b]);
     std::replace(group.begin(), group.end(), from, to);
@@ -58,7 +59,7 @@ std::string shares_little(const View& view, std::size_t i, const std::vector<Pai
   for (const PairResidual& pair : pairs)
     if (pair.a == i || pair.b == i) most = std::max(most, pair.ties);
   return view.label() + " shares " + std::to_string(most) +
-         " tie points with another image, expected " + std::to_string(kFewest) + " or more";
+         " tie points with another image, expected " + std::to_string(kFewestTies) + " or more";
 }
 
 /// The points that two or more of some views see, numbered anew.
@@ -121,7 +122,7 @@ void note_after(Pointing& out, const std::vector<rpc::Rpc>& cameras,
 Pointing agreement(const std::vector<View>& views, const std::vector<TiePoint>& points,
                    double height) {
   Pointing out;
-  for (const View& v : views) out.names.push_back(v.name);
+  for (const View& v : views) out.names.push_back(v.name), out.marks.push_back(camera_mark(v.rpc));
   out.shifts.resize(views.size());
   TieResiduals before = tie_residuals(cameras_of(views), out.shifts, points, height);
   out.before = std::move(before.pairs);
@@ -136,13 +137,31 @@ void apply_pointing(const Pointing& pointing, std::vector<View>& views) {
     views[i].rpc = views[i].rpc.corrected(pointing.shifts[i], pointing.slope(i));
 }
 
-double mean_across(const std::vector<PairResidual>& pairs) {
+std::optional<double> mean_across(const std::vector<PairResidual>& pairs) {
   double sum = 0, ties = 0;
   for (const PairResidual& pair : pairs) {
     sum += static_cast<double>(pair.ties) * pair.across;
     ties += static_cast<double>(pair.ties);
   }
-  return ties > 0 ? sum / ties : 0;
+  if (ties == 0) return std::nullopt;
+  return sum / ties;
+}
+
+std::string camera_mark(const rpc::Rpc& c) {
+  std::uint64_t hash = 0xcbf29ce484222325U;  // FNV-1a
+  const auto add = [&](double value) {
+    // Zero has two signs and one meaning.
+    std::uint64_t bits = std::bit_cast<std::uint64_t>(value == 0 ? 0.0 : value);
+    for (int byte = 0; byte < 8; ++byte, bits >>= 8) hash = (hash ^ (bits & 0xff)) * 0x100000001b3U;
+  };
+  for (const double v : {c.line_off, c.samp_off, c.lat_off, c.lon_off, c.height_off, c.line_scale,
+                         c.samp_scale, c.lat_scale, c.lon_scale, c.height_scale})
+    add(v);
+  for (const auto* row : {&c.line_num, &c.line_den, &c.samp_num, &c.samp_den})
+    for (const double v : *row) add(v);
+  char text[17];
+  std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(hash));
+  return text;
 }
 
 Pointing measure_pointing(const std::vector<View>& views, const rpc::HeightRange& height_range,
@@ -155,6 +174,8 @@ Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoin
                        double height, bool affine) {
   Pointing out = agreement(views, points, height);
   const std::vector<std::size_t> members = largest_group(groups_of(views.size(), out.before));
+  for (std::size_t i = 0; i < views.size(); ++i)
+    if (members.size() < 2 || !std::ranges::binary_search(members, i)) out.unconnected.push_back(i);
   if (members.size() < 2) {
     out.verdict = "not estimated: " + shares_little(views[1], 1, out.before);
     return out;
@@ -170,8 +191,9 @@ Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoin
     if (affine) out.slopes[members[k]] = found.slopes[k];
   }
   out.observable = found.observable;
+  if (!affine) out.undetermined = 2 * static_cast<Index>(members.size()) - 3 - found.observable;
   note_after(out, cameras, points, height);
-  const double before = mean_across(out.before), after = mean_across(out.after),
+  const double before = *mean_across(out.before), after = *mean_across(out.after),
                largest = out.largest_shift;
   if (largest <= kWorth)
     out.verdict = "not needed: the largest shift is " + number("%.2f px", largest) +
@@ -181,16 +203,17 @@ Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoin
                   number(", without to %.2f px", before);
   else
     out.applied = true, out.verdict = "estimated from the images";
-  for (std::size_t i = 0; i < views.size(); ++i)
-    if (!std::ranges::binary_search(members, i))
-      out.verdict += "; " + shares_little(views[i], i, out.before) + ": its camera stays as it is";
+  for (const std::size_t i : out.unconnected)
+    out.verdict += "; " + shares_little(views[i], i, out.before) + ": its camera stays as it is";
   return out;
 }
 
 std::vector<KnownShift> shifts_of(const std::vector<View>& views, const NamedShifts& shifts) {
   std::vector<KnownShift> chosen;
   for (const View& v : views) {
-    const auto at = shifts.find(v.name);
+    const std::string mark = camera_mark(v.rpc);
+    auto at = std::ranges::find_if(shifts, [&](const auto& s) { return s.second.mark == mark; });
+    if (at == shifts.end()) at = shifts.find(v.name);
     if (at == shifts.end()) {
       std::string names;
       for (const auto& [name, shift] : shifts) names += (names.empty() ? "" : ", ") + name;

@@ -14,14 +14,19 @@ namespace satsurf::scene {
 
 /// How well the cameras of a scene agree, and shifts that make them agree better.
 struct Pointing {
-  std::vector<std::string> names;  ///< of the views
-  std::vector<rpc::Pixel> shifts;  ///< to add to where each camera sees a point, px; mean zero
+  std::vector<std::string> names;    ///< of the views
+  std::vector<std::string> marks{};  ///< of their cameras as they came, see `camera_mark`
+  std::vector<rpc::Pixel> shifts;    ///< to add to where each camera sees a point, px; mean zero
   std::vector<rpc::ShiftSlope> slopes{};  ///< what these change by within the images; or empty
   std::vector<PairResidual> before;       ///< every pair with the cameras as they came
   std::vector<PairResidual> after;        ///< with the shifts; empty where none could be estimated
   Index observable = 0;                   ///< see PointingAdjustment
-  bool applied = false;                   ///< whether the scene's cameras have been shifted
-  std::string verdict;                    ///< in words: why, or why not
+  /// Combinations of the shifts that the tie points ought to determine and do not: of N images that
+  /// they connect 2 N - 3, of shifts with slopes not counted.
+  Index undetermined = 0;
+  std::vector<std::size_t> unconnected{};  ///< views whose camera the tie points say nothing of
+  bool applied = false;                    ///< whether the scene's cameras have been shifted
+  std::string verdict;                     ///< in words: why, or why not
   /// Middle nine tenths of the tie points' heights with the shifts, m above the ellipsoid; empty
   /// without any.
   std::optional<rpc::HeightRange> heights;
@@ -32,6 +37,8 @@ struct Pointing {
   }
 };
 
+/// Tie points that make a pair of images believable.
+inline constexpr Index kFewestTies = 20;
 /// Largest error of an image's pointing that is found, px.
 inline constexpr double kLargestPointingError = 50;
 
@@ -57,9 +64,14 @@ Pointing pointing_from(const std::vector<View>& views, const std::vector<TiePoin
 struct KnownShift {
   rpc::Pixel shift;
   rpc::ShiftSlope slope{};
+  std::string mark{};  ///< of the camera it was found for, see `camera_mark`; empty where not known
 };
 /// Shifts by the names of the images, as a file of them says.
 using NamedShifts = std::map<std::string, KnownShift>;
+
+/// What tells a camera from others, whatever its image is called: 16 hexadecimal digits that are the
+/// same for the same numbers.
+std::string camera_mark(const rpc::Rpc& camera);
 
 /// The same with shifts that are known. `applied` is set.
 /// throws  ConfigError naming a view without a shift
@@ -67,7 +79,7 @@ Pointing given_pointing(const std::vector<View>& views, const NamedShifts& shift
                         const rpc::HeightRange& height_range,
                         const std::function<void()>& poll = {});
 
-/// The shift of each view.
+/// The shift of each view: the one found for its camera, else the one of its name.
 /// throws  ConfigError naming a view without one, or one whose camera cannot have its slopes
 std::vector<KnownShift> shifts_of(const std::vector<View>& views, const NamedShifts& shifts);
 /// As `given_pointing`, of tie points that have been found.
@@ -78,7 +90,7 @@ Pointing given_pointing(const std::vector<View>& views, const std::vector<KnownS
 void apply_pointing(const Pointing& pointing, std::vector<View>& views);
 
 /// One number for all pairs: the mean of their residuals across the epipolar direction, each with
-/// the weight of its points, px; 0 without points.
-double mean_across(const std::vector<PairResidual>& pairs);
+/// the weight of its points, px; nothing without points.
+std::optional<double> mean_across(const std::vector<PairResidual>& pairs);
 
 }  // namespace satsurf::scene

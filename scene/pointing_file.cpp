@@ -24,32 +24,40 @@ constexpr const char* kMeaning =
     "a ground that lies elsewhere is zero too";
 
 constexpr double kPer = 1000;  // px that slopes are for
+// What no pointing is off by, and no image is as large as.
+constexpr double kMostShift = 100000, kMostSlope = 1000, kFarthest = 10000000;  // px
 
 Json residual_json(const PairResidual& pair) {
-  return {{"across", pair.across}, {"along", pair.along ? Json(*pair.along) : Json()}};
+  return {{"across", pair.ties > 0 ? Json(pair.across) : Json()},
+          {"along", pair.along ? Json(*pair.along) : Json()}};
 }
 
-double number_of(const nlohmann::json& image, const char* key, const std::string& where) {
+/// Whether it is a number from -most to most.
+bool within(const nlohmann::json& value, double most) {
+  return value.is_number() && std::abs(value.get<double>()) <= most;
+}
+
+std::string limits(double most) {
+  const std::string end = std::to_string(static_cast<long>(most));
+  return " from -" + end + " to " + end;
+}
+
+double number_of(const nlohmann::json& image, const char* key, double most,
+                 const std::string& where) {
   const auto at = image.find(key);
-  if (at == image.end() || !at->is_number() || !std::isfinite(at->get<double>()))
-    throw IoError(where + ": expected a number " + key);
+  if (at == image.end() || !within(*at, most))
+    throw IoError(where + ": expected a number " + key + limits(most));
   return at->get<double>();
 }
 
 /// Two numbers, 0 where there are none of the name.
-std::array<double, 2> two_of(const nlohmann::json& image, const char* key,
+std::array<double, 2> two_of(const nlohmann::json& image, const char* key, double most,
                              const std::string& where) {
   const auto at = image.find(key);
   if (at == image.end()) return {};
-  std::array<double, 2> out{};
-  bool good = at->is_array() && at->size() == out.size();
-  for (std::size_t k = 0; good && k < out.size(); ++k) {
-    good = (*at)[k].is_number();
-    if (good) out[k] = (*at)[k].get<double>();
-    good = good && std::isfinite(out[k]);
-  }
-  if (!good) throw IoError(where + ": expected two numbers " + key);
-  return out;
+  if (!at->is_array() || at->size() != 2 || !within((*at)[0], most) || !within((*at)[1], most))
+    throw IoError(where + ": expected two numbers " + key + limits(most));
+  return {(*at)[0].get<double>(), (*at)[1].get<double>()};
 }
 
 }  // namespace
@@ -59,7 +67,8 @@ void write_pointing(const std::filesystem::path& path, const Pointing& pointing)
   for (std::size_t i = 0; i < pointing.names.size(); ++i) {
     Json& image = images.emplace_back(Json{{"name", pointing.names[i]},
                                            {"shift_x", pointing.shifts[i].x},
-                                           {"shift_y", pointing.shifts[i].y}});
+                                           {"shift_y", pointing.shifts[i].y},
+                                           {"camera", pointing.marks[i]}});
     if (pointing.slopes.empty()) continue;
     const auto& [at, per_pixel] = pointing.slopes[i];
     image["at"] = {at.x, at.y};
@@ -81,7 +90,8 @@ void write_pointing(const std::filesystem::path& path, const Pointing& pointing)
                   {"observable", pointing.observable},
                   {"images", std::move(images)},
                   {"pairs", std::move(pairs)}};
-  atomic_write(path, json.dump(2) + "\n");
+  // Names of files may be no UTF-8.
+  atomic_write(path, json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
 NamedShifts read_pointing(const std::filesystem::path& path) {
@@ -95,9 +105,15 @@ NamedShifts read_pointing(const std::filesystem::path& path) {
       throw IoError(where + ": an image without a name, expected name, shift_x and shift_y");
     const std::string name = image["name"].get<std::string>();
     const std::string of = where + ": " + name;
-    KnownShift known{{number_of(image, "shift_x", of), number_of(image, "shift_y", of)}};
-    const auto at = two_of(image, "at", of), x = two_of(image, "slope_x", of),
-               y = two_of(image, "slope_y", of);
+    KnownShift known{
+        {number_of(image, "shift_x", kMostShift, of), number_of(image, "shift_y", kMostShift, of)}};
+    if (const auto mark = image.find("camera"); mark != image.end()) {
+      if (!mark->is_string()) throw IoError(of + ": expected a text camera");
+      known.mark = mark->get<std::string>();
+    }
+    const auto at = two_of(image, "at", kFarthest, of),
+               x = two_of(image, "slope_x", kMostSlope, of),
+               y = two_of(image, "slope_y", kMostSlope, of);
     known.slope = {{at[0], at[1]}, {{{x[0] / kPer, x[1] / kPer}, {y[0] / kPer, y[1] / kPer}}}};
     if (!out.emplace(name, known).second)
       throw IoError(where + ": " + name + " comes twice, expected every image once");

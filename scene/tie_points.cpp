@@ -23,10 +23,13 @@ constexpr Index kRadius = 7;        // and at the others
 constexpr Index kReach = 2;         // px by which a match may move from level to level
 constexpr float kCoarseAgreement = 0.5f, kAgreement = 0.6f;  // correlation of a match
 constexpr double kReturn = 0.7;                              // px, from where a match leads back to
-constexpr double kMode = 1.0;       // px, half the width in which most matches of a pair lie
-constexpr double kSpread = 1.5;     // px from there that a match is still believed
-constexpr double kMajority = 0.7;   // of a pair's matches; what chance finds agrees less
-constexpr float kContrast = 2e-3f;  // standard deviation of a window that is not flat
+constexpr double kMode = 1.0;    // px, half the width in which most matches of a pair lie
+constexpr double kSpread = 1.5;  // px from there that a match is still believed
+// Share of a pair's matches that has to lie there. What chance finds in images of other places are up
+// to 40 matches, of which at most 12 and four in ten do, or seven in ten of less than ten.
+constexpr double kMajority = 0.7, kMajorityOfMany = 0.5;
+constexpr std::ptrdiff_t kMany = 20;  // matches that lie there
+constexpr float kContrast = 2e-3f;    // standard deviation of a window that is not flat
 
 using Vec = std::array<double, 2>;
 using Matrix = std::array<Vec, 2>;
@@ -363,7 +366,8 @@ class Pair {
     const auto believed = [&](double offset) { return std::abs(offset - mode) <= kSpread; };
     const auto kept = std::count_if(offsets.begin(), offsets.end(),
                                     [&](const auto& match) { return believed(match.first); });
-    const bool any = static_cast<double>(kept) >= kMajority * static_cast<double>(offsets.size());
+    const bool any = static_cast<double>(kept) >= (kept >= kMany ? kMajorityOfMany : kMajority) *
+                                                      static_cast<double>(offsets.size());
     for (const auto& [offset, k] : offsets)
       if (!any || !believed(offset)) found[k].reset();
   }

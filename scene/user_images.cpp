@@ -418,7 +418,7 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
                      rules_.mask ? under_mask(*rules_.mask, scene, searched)
                                  : std::function<bool(double, double)>{});
     out.range = {scene.frame.heights_from_z(found), "found by comparing the images",
-                 out.range.trouble};
+                 out.range.trouble, true};
     scene.frame.h0 = std::round(out.range.height_range.middle());
   }
   scene.z_range = scene.frame.z_from_heights(out.range.height_range);

@@ -22,6 +22,7 @@ struct RangeChoice {
   rpc::HeightRange height_range;  ///< m above the ellipsoid
   std::string source;             ///< in words: where it came from
   std::string trouble{};          ///< in words: why a model of the terrain was no help; or empty
+  bool found = false;             ///< by comparing the images
 };
 
 /// throws  ConfigError for a wanted range that holds no surface: reversed, or of less than a metre

@@ -282,8 +282,7 @@ holds "and all else is the same" diff -r -x run.json -x report.html -x mesh.ply 
 rm -rf coarser
 setsid "${tiled[@]}" --out killed >stdout 2>stderr &
 job=$!
-for _ in $(seq 1200); do
-  [ "$(ls killed.tiles/tile_*.json 2>/dev/null | wc -l)" -ge 2 ] && break
+while kill -0 "$job" 2>/dev/null && [ "$(ls killed.tiles/tile_*.json 2>/dev/null | wc -l)" -lt 2 ]; do
   sleep 0.02
 done
 kill -KILL "$job" 2>/dev/null

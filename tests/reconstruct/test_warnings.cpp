@@ -103,3 +103,73 @@ TEST_CASE("warnings of the surface") {
   made.camera_fit_max_px = 0.4;
   CHECK(codes(surface_warnings(made)) == Codes{"camera_fit"});
 }
+
+TEST_CASE("warnings of the cameras") {
+  const scene::Scene scene = scene_of({view_from("a", 0.1), view_from("b", -0.15)});
+  scene::Pointing p;
+  p.names = {"a", "b"}, p.shifts = {{0, 1}, {0, -1}}, p.observable = 1;
+  p.before = {{.a = 0, .b = 1, .ties = 200, .across = 2, .along = {}}};
+  p.after = {{.a = 0, .b = 1, .ties = 200, .across = 0.2, .along = {}}};
+  p.applied = true, p.largest_shift = 1;
+  SUBCASE("that agree once they are shifted") {
+    p.shifts = {{0, 0.2}, {0, -0.2}};
+    CHECK(codes(pointing_warnings(p, scene)).empty());
+  }
+  SUBCASE("that tie points do not connect") {
+    p.after.clear(), p.applied = false, p.unconnected = {0, 1};
+    p.verdict = "not estimated: b shares 3 tie points with another image, expected 20 or more";
+    const auto told = pointing_warnings(p, scene);
+    REQUIRE(codes(told) == Codes{"pointing_unknown"});
+    CHECK(told[0].text.find("b shares 3 tie points") != std::string::npos);
+  }
+  SUBCASE("of which one is not connected") {
+    p.shifts = {{0, 0.2}, {0, -0.2}}, p.unconnected = {1};
+    const auto told = pointing_warnings(p, scene);
+    REQUIRE(codes(told) == Codes{"pointing_unknown"});
+    CHECK(told[0].text.starts_with("b shares too few tie points"));
+  }
+  SUBCASE("that are determined in part") {
+    p.shifts = {{0, 0.2}, {0, -0.2}}, p.undetermined = 1;
+    const auto told = pointing_warnings(p, scene);
+    REQUIRE(codes(told) == Codes{"pointing_in_part"});
+    CHECK(told[0].text.find("1 of the 2 combinations") != std::string::npos);
+  }
+  SUBCASE("that still disagree") {
+    p.shifts = {{0, 0.2}, {0, -0.2}}, p.after[0].across = 1.004;
+    const auto told = pointing_warnings(p, scene);
+    REQUIRE(codes(told) == Codes{"pointing_residual"});
+    CHECK(told[0].text.find("a and b still disagree by 1.004 px") != std::string::npos);
+    p.after[0].ties = 7;  // chance
+    CHECK(codes(pointing_warnings(p, scene)).empty());
+    p.applied = false;  // then the first residuals count
+    CHECK(codes(pointing_warnings(p, scene)) == Codes{"pointing_residual"});
+  }
+  SUBCASE("that may put all heights elsewhere") {
+    // A lift of 1 m moves each view by half of 0.25 m of ground, which is 0.25 px of 0.5 m, and
+    // shifts of 1 px of two images whose one combination is known have a deviation of sqrt 2:
+    // sqrt(2) / (sqrt(2) 0.25) = 4 m.
+    CHECK(codes(pointing_warnings(p, scene)).empty());
+    for (rpc::Pixel& s : p.shifts) s.y *= 2;
+    p.largest_shift = 2;
+    const auto told = pointing_warnings(p, scene);
+    REQUIRE(codes(told) == Codes{"heights_as_a_whole"});
+    CHECK(told[0].text.find("off by 2.0 px may put all heights together 8 m") != std::string::npos);
+    p.applied = false, p.before[0].across = 0.2;
+    CHECK(codes(pointing_warnings(p, scene)).empty());
+  }
+}
+
+TEST_CASE("warnings of the height range") {
+  scene::UserScene user;
+  user.range = {{-70, 150}, "found by comparing the images", {}, true};
+  user.pointing.emplace().heights = rpc::HeightRange{20, 60};
+  const auto told = range_warnings(user);
+  REQUIRE(codes(told) == Codes{"wide_range"});
+  CHECK(told[0].text.find("begins at -70 m") != std::string::npos);
+  user.range.height_range.low = -39;  // 59 m below
+  CHECK(codes(range_warnings(user)).empty());
+  user.range.height_range.low = -70, user.pointing->heights->high = 120;  // a valley
+  CHECK(codes(range_warnings(user)).empty());
+  user.pointing->heights->high = 60, user.range.found = false;  // somebody's own
+  CHECK(codes(range_warnings(user)).empty());
+}
