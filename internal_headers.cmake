@@ -12,7 +12,7 @@ set(satsurf_internal_headers
   "/mesh/sampled_view\\.h$"
   "/scene/(grey_pyramid|ray_walk|satnerf|sight_lines|whu)\\.h$"
   "/scene/simulate/(city|conditions|develop|draw|dress|given|layout|natural|noise|orbit|render|texture)\\.h$"
-  "/reconstruct/(cast|cell_count|cell_mode|cell_surfels|cross_check|fusion|narrow|shown_pixel|surface_input|tile_cut|trust)\\.h$"
+  "/reconstruct/(cast|cell_count|cell_mode|cell_slopes|cell_surfels|cross_check|fusion|narrow|shown_pixel|surface_input|tile_cut|trust)\\.h$"
   "/train/(sample_batch)\\.h$"
   "/evaluate/score_views\\.h$")
 # Of the readers' room the engine has the cameras alone.

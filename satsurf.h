@@ -16,6 +16,7 @@
 #include "satsurf/mesh/ply.h"
 #include "satsurf/mesh/surface.h"
 #include "satsurf/mesh/tsdf.h"
+#include "satsurf/reconstruct/laid_surfels.h"
 #include "satsurf/reconstruct/ortho.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"

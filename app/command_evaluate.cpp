@@ -93,6 +93,9 @@ std::vector<WrittenFile> told_by_evaluate() {
   return {
       {"raw, registered", "of --dsm: scores by the numbers below, before and after registration"},
       {"shift_m", "of --dsm: what registration added, east, north, up"},
+      {"refused_shift_m",
+       "of --dsm: east and north of a shift that correlates best and leaves no smaller errors, so "
+       "that it was not added; null without one"},
       {"mean", "of --data: the columns of --csv, each a mean over scenes"},
       {"mean_scenes", "how many scenes a mean is over, where that is fewer than all"},
       {"scenes", "the numbers scene by scene, grouped as in dsm.registered.mae"},
@@ -143,8 +146,10 @@ void add_evaluate(Program& program) {
     mode.read();
     if (flags.print_config()) return mode.print;
     check_subjects(mode);
-    check_output_file("--json", options->output.json, true, {flags.config_file()});
-    return mode.run;
+    return [&flags, options, run = mode.run] {
+      check_output_file("--json", options->output.json, true, {flags.config_file()});
+      run();
+    };
   });
 }
 

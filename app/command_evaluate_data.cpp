@@ -188,13 +188,16 @@ void run_evaluate_data(const EvaluateDataCommand& options, const EvaluateOutput&
   how.meshes = options.meshes;
   how.lpips = lpips ? &*lpips : nullptr;
   how.progress = [&](const std::string& stage, double fraction) {
-    if (interrupted()) throw Interrupted{};
+    stop_if_interrupted();
     progress.update(stage, fraction);
   };
   EvaluateDataConfig config = options;
   config.weights = weights;
-  RunRecord record("evaluate", to_json(config), 0);
-  const evaluate::DataScores scores = evaluate::evaluate_data(model, options.data, how);
+  RunRecord record("evaluate", recorded_config(config), 0);
+  const evaluate::DataScores scores = [&] {
+    const EndsAtSignal stops;
+    return evaluate::evaluate_data(model, options.data, how);
+  }();
   const nlohmann::ordered_json table = scores_json(scores);
   const std::vector<evaluate::NamedConfidence> confidence{
       {"mvs_source", "Source views", &scores.confidence.mvs_source},

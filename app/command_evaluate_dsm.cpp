@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/evaluate_options.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/legend.h"
 #include "satsurf/app/log.h"
 #include "satsurf/app/output_folder.h"
@@ -9,12 +10,15 @@
 #include "satsurf/app/scores_json.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/fields_json.h"
+#include "satsurf/core/memory.h"
 #include "satsurf/evaluate/evaluate.h"
+#include "satsurf/rpc/geoid.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 
 #include <cmath>
 #include <cstdio>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -37,15 +41,33 @@ void print_scores(const char* title, const evaluate::HeightScores& s) {
       "", 100 * s.pag1_compared, 100 * s.pag2_5_compared, 100 * s.pag7_5_compared);
 }
 
+/// How high the geoid lies above the ellipsoid in the middle of the truth, m; none where it is not
+/// known where that is, or no grid of the geoid is there.
+std::optional<double> geoid_height_at(const evaluate::DsmPair& pair) {
+  if (!pair.frame) return std::nullopt;
+  const scene::HeightField& truth = pair.truth;
+  const double half = truth.step / 2;
+  const rpc::Geodetic middle =
+      pair.frame->geodetic_from_local({truth.x0 + half * static_cast<double>(truth.z.dim(1)),
+                                       truth.y0 - half * static_cast<double>(truth.z.dim(0)), 0});
+  try {
+    return rpc::geoid_heights(rpc::HeightDatum::egm96, {{{middle.lon, middle.lat}}}).front();
+  } catch (const Error&) {
+    return std::nullopt;
+  }
+}
+
 /// A median far larger than the spread is seldom an error of the surface.
-void warn_of_datum(const evaluate::HeightScores& s) {
-  // geoid heights are up to 107 m, biases of a reconstruction a few
-  constexpr double kSuspicious = 8;
+void warn_of_datum(const evaluate::HeightScores& s, const evaluate::DsmPair& pair) {
+  constexpr double kSuspicious = 8;  // m; biases of a reconstruction are a few
   if (std::abs(s.median) <= kSuspicious || s.nmad >= std::abs(s.median) / 3) return;
-  log_line(LogLevel::warning,
-           fmt::format("the heights differ by {:.1f} m nearly everywhere; is one of them above the "
-                       "geoid?",
-                       s.median));
+  const std::optional<double> geoid_height = geoid_height_at(pair);
+  std::string text = fmt::format("the heights differ by {:.1f} m nearly everywhere", s.median);
+  if (evaluate::like_geoid(s.median, geoid_height)) text += "; is one of them above the geoid?";
+  if (geoid_height)
+    text += fmt::format(" (the geoid lies {:.1f} m {} the ellipsoid here)", std::abs(*geoid_height),
+                        *geoid_height < 0 ? "below" : "above");
+  log_line(LogLevel::warning, text);
 }
 
 /// The true cells that count; empty for all.
@@ -71,6 +93,20 @@ Tensor mask_of(const EvaluateDsmConfig& options, const evaluate::DsmPair& pair,
   return seen;
 }
 
+/// throws  Error where the memory does not hold what a comparison needs beside both surfaces
+void check_comparable(const EvaluateDsmCommand& options, const evaluate::DsmPair& pair) {
+  // Of a true cell: the predicted height there, also where a shift moves it, its error (as double
+  // while it is ranked), whether it counts, and a picture of the errors.
+  constexpr double kBytes = 4 + 4 + 8 + 8, kPictureBytes = 12;
+  const Tensor& truth = pair.truth.z;
+  check_memory(options.dsm.string() + " and " + options.truth.string() + ": comparing " +
+                   std::to_string(truth.dim(1)) + " x " + std::to_string(truth.dim(0)) +
+                   " cells needs",
+               (kBytes + (options.error_map.empty() ? 0 : kPictureBytes)) *
+                   static_cast<double>(truth.count()),
+               "cut out a part (gdal_translate -projwin)");
+}
+
 }  // namespace
 
 void run_evaluate_dsm(const EvaluateDsmCommand& options, const EvaluateOutput& output) {
@@ -88,13 +124,18 @@ void run_evaluate_dsm(const EvaluateDsmCommand& options, const EvaluateOutput& o
       check_output_file("--error-map", file, output.overwrite, inputs);
   check_output_file("--json", output.json, output.overwrite, inputs);
   check_distinct({options.error_map, output.json});
-  const evaluate::DsmPair pair = evaluate::load_dsm_pair(options.dsm, options.truth);
-  const Tensor mask = mask_of(options, pair, cameras);
+  evaluate::DsmPair pair;
   evaluate::DsmComparison c;
-  try {
-    c = evaluate::compare_dsm(pair.prediction, pair.truth, registration, mask);
-  } catch (const Error& e) {
-    throw Error(options.dsm.string() + " and " + options.truth.string() + ": " + e.what());
+  {
+    const EndsAtSignal stops;
+    pair = evaluate::load_dsm_pair(options.dsm, options.truth);
+    check_comparable(options, pair);
+    const Tensor mask = mask_of(options, pair, cameras);
+    try {
+      c = evaluate::compare_dsm(pair.prediction, pair.truth, registration, mask);
+    } catch (const Error& e) {
+      throw Error(options.dsm.string() + " and " + options.truth.string() + ": " + e.what());
+    }
   }
   if (!options.error_map.empty()) {
     const ColourScale scale = error_scale();
@@ -104,7 +145,7 @@ void run_evaluate_dsm(const EvaluateDsmCommand& options, const EvaluateOutput& o
                          : rpc::GeoGrid{0, truth.x0, truth.y0, truth.step});
   }
   if (!output.json.empty()) {
-    RunRecord record("evaluate", to_json<EvaluateDsmConfig>(options), 0);
+    RunRecord record("evaluate", recorded_config<EvaluateDsmConfig>(options), 0);
     for (const fs::path& file : inputs) record.add_input(file);
     record.results() = scores_json(c);
     record.save(output.json);
@@ -115,9 +156,14 @@ void run_evaluate_dsm(const EvaluateDsmCommand& options, const EvaluateOutput& o
   if (registration != evaluate::Registration::none) {
     std::printf("registered by east %+.2f m, north %+.2f m, up %+.3f m\n", c.shift[0], c.shift[1],
                 c.shift[2]);
+    if (c.refused_shift)
+      std::printf(
+          "a shift by east %+.2f m, north %+.2f m correlates best, but leaves no smaller "
+          "errors: not taken\n",
+          (*c.refused_shift)[0], (*c.refused_shift)[1]);
     print_scores("registered", c.registered);
   }
-  warn_of_datum(c.raw);
+  warn_of_datum(c.raw, pair);
 }
 
 }  // namespace satsurf::app

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/evaluate_options.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/picture.h"
 #include "satsurf/app/record.h"
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/fields_json.h"
+#include "satsurf/core/memory.h"
 #include "satsurf/evaluate/image_metrics.h"
 #include "satsurf/nn/lpips.h"
 
@@ -65,8 +67,9 @@ void run_evaluate_image(const EvaluateImageConfig& options, const EvaluateOutput
   if (!options.mask.empty()) inputs.push_back(options.mask);
   if (!options.lpips_weights.empty()) inputs.push_back(options.lpips_weights);
   check_output_file("--json", output.json, output.overwrite, inputs);
-  RunRecord record("evaluate", to_json(options), 0);
+  RunRecord record("evaluate", recorded_config(options), 0);
 
+  std::optional<EndsAtSignal> stops(std::in_place);
   const Tensor image = read_picture(options.image), reference = read_picture(options.reference);
   if (image.shape() != reference.shape())
     throw IoError(options.image.string() + " and " + options.reference.string() + ": " +
@@ -84,8 +87,15 @@ void run_evaluate_image(const EvaluateImageConfig& options, const EvaluateOutput
                     std::to_string(lpips->smallest_side()) + " px a side for LPIPS (" +
                     nn::lpips_backbone_name(lpips->backbone()) + ")");
   }
+  // Beside both pictures: one with the colours fitted, the mask as double, two in colour for LPIPS.
+  const double pixels = static_cast<double>(image.dim(1)) * static_cast<double>(image.dim(2));
+  check_memory(
+      options.image.string() + ": comparing " + size_of(image) + " needs",
+      pixels * (4 * static_cast<double>(image.dim(0)) + (mask.empty() ? 0 : 8) + (lpips ? 24 : 0)),
+      "cut it");
   const evaluate::ImageScores s =
       evaluate::score_images(image, reference, mask, lpips ? &*lpips : nullptr);
+  stops.reset();
 
   if (!output.json.empty()) {
     for (const fs::path& file : inputs) record.add_input(file);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/evaluate_options.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/products.h"
 #include "satsurf/app/record.h"
@@ -54,7 +55,8 @@ void print_scores(const char* title, const mesh::SurfaceScores& s) {
 void run_evaluate_mesh(const EvaluateMeshConfig& options, const EvaluateOutput& output) {
   const std::vector<fs::path> inputs{options.mesh, options.reference_mesh};
   check_output_file("--json", output.json, output.overwrite, inputs);
-  RunRecord record("evaluate", to_json(options), 0);
+  RunRecord record("evaluate", recorded_config(options), 0);
+  std::optional<EndsAtSignal> stops(std::in_place);
   const mesh::PlyContent content = mesh::read_ply(options.mesh);
   mesh::PlyContent reference = mesh::read_ply(options.reference_mesh);
   const auto frame = frame_of(content, options.mesh),
@@ -73,6 +75,7 @@ void run_evaluate_mesh(const EvaluateMeshConfig& options, const EvaluateOutput& 
     throw Error(options.mesh.string() + " and " + options.reference_mesh.string() + ": " +
                 e.what());
   }
+  stops.reset();
   if (!output.json.empty()) {
     for (const fs::path& file : inputs) record.add_input(file);
     nlohmann::ordered_json j = scores_json(c);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/from_above.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/products.h"
 #include "satsurf/app/program.h"
@@ -55,8 +56,8 @@ struct ExportOptions {
   }
 };
 
-/// Of a cell that becomes a vertex with normal and colour and two faces, and of those once more on
-/// their way into a file.
+/// Of a cell that becomes a vertex with normal and colour and two faces, and of what is sorted where
+/// there are to be fewer.
 constexpr double kMeshBytes = 180;
 
 /// A mesh around an origin, so that floats suffice, and where that is.
@@ -75,10 +76,11 @@ PlacedMesh in_frame(mesh::Mesh mesh, const rpc::LocalFrame& frame) {
 }
 
 PlacedMesh mesh_of_dsm(const ExportOptions& options) {
-  const rpc::GeoRaster dsm = rpc::read_geo_raster(options.dsm);
+  rpc::GeoRaster dsm = rpc::read_geo_raster(options.dsm);
   if (dsm.values.rank() != 2)
     throw IoError(options.dsm.string() + ": " + std::to_string(dsm.values.dim(0)) +
                   " bands, expected one of heights");
+  rpc::require_heights(options.dsm, dsm.values);
   const Index H = dsm.values.dim(0), W = dsm.values.dim(1);
   check_rendered_size("a mesh: ", W, H, kMeshBytes, "give a coarser one (gdalwarp -tr)");
   Tensor colour;
@@ -97,9 +99,8 @@ PlacedMesh mesh_of_dsm(const ExportOptions& options) {
   const double base = std::isfinite(low) ? std::floor(low) : 0;
   const double width = dsm.grid.step * static_cast<double>(W),
                height = dsm.grid.step * static_cast<double>(H);
-  Tensor z = dsm.values.clone();
-  for (float& v : z.values()) v -= static_cast<float>(base);
-  return {mesh::mesh_from_heights(z, -width / 2, height / 2, dsm.grid.step, colour),
+  for (float& v : dsm.values.values()) v -= static_cast<float>(base);
+  return {mesh::mesh_from_heights(dsm.values, -width / 2, height / 2, dsm.grid.step, colour),
           dsm.grid.epsg == 0 ? "unknown" : "EPSG:" + std::to_string(dsm.grid.epsg),
           {dsm.grid.x0 + width / 2, dsm.grid.y0 - height / 2, base},
           ""};
@@ -137,24 +138,32 @@ PlacedMesh mesh_of(const ExportOptions& options) {
 void write(const fs::path& path, const PlacedMesh& placed) {
   if (path.extension() == ".ply")
     return mesh::write_ply(path, placed.mesh,
-                           place_comments(placed.crs, placed.origin, placed.heights));
+                           place_comments(placed.crs, placed.origin, placed.heights),
+                           stop_if_interrupted);
   mesh::write_glb(
       path, placed.mesh,
       {{"crs", placed.crs},
        {"origin_easting_northing_height", fmt::format("{:.17g} {:.17g} {:.17g}", placed.origin[0],
                                                       placed.origin[1], placed.origin[2])},
        {"axes", "x east, y up, -z north, m from the origin" +
-                    (placed.heights.empty() ? "" : "; heights above " + placed.heights)}});
+                    (placed.heights.empty() ? "" : "; heights above " + placed.heights)}},
+      stop_if_interrupted);
 }
 
 void run_export(const ExportOptions& options) {
   if (options.to.extension() != ".glb" && options.to.extension() != ".ply")
-    throw ConfigError("--to: " + options.to.string() + ", expected a name ending in .glb or .ply");
+    throw ConfigError("--to: " + options.to.string() + ", expected a name ending in .glb or .ply" +
+                      (options.surfels.empty() ? "" : "; satsurf render --nadir makes rasters"));
   check_output_file("--to", options.to, options.overwrite,
                     {options.mesh, options.dsm, options.ortho, options.surfels});
-  PlacedMesh surface = mesh_of(options);
-  const std::size_t before = surface.mesh.faces.size();
-  if (options.max_faces > 0) surface.mesh = mesh::simplified(surface.mesh, options.max_faces);
+  std::size_t before = 0;
+  const PlacedMesh surface = [&] {
+    const EndsAtSignal stops;
+    PlacedMesh made = mesh_of(options);
+    before = made.mesh.faces.size();
+    if (options.max_faces > 0) made.mesh = mesh::simplified(made.mesh, options.max_faces);
+    return made;
+  }();
   write(options.to, surface);
   std::printf("%zu of %zu faces, %zu vertices\n", surface.mesh.faces.size(), before,
               surface.mesh.vertices.size());

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/info.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/log.h"
 #include "satsurf/app/pointing_text.h"
 #include "satsurf/app/program.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -49,13 +51,21 @@ void print_camera(const ImageFacts& image) {
               rpc.height_off + std::abs(rpc.height_scale));
 }
 
+/// Where the pixels lie by themselves, without a camera.
+std::string georeference_text(const rpc::RasterInfo& info) {
+  if (!info.crs.empty()) return info.crs;
+  if (!info.local_crs.empty())
+    return "none: \"" + info.local_crs + "\" is a system of its own, of no place on the Earth";
+  return info.geotransform ? "a grid in no known system" : "none";
+}
+
 void print_image(const ImageFacts& image) {
   const rpc::RasterInfo& info = image.info;
   std::printf("%s\n", info.path.c_str());
   std::printf("  size          %td x %td px, %td band%s, %s\n", info.width, info.height, info.bands,
               info.bands == 1 ? "" : "s", info.dtype.c_str());
   if (info.nodata) std::printf("  nodata        %g\n", *info.nodata);
-  if (!info.crs.empty()) std::printf("  georeference  %s\n", info.crs.c_str());
+  std::printf("  georeference  %s\n", georeference_text(info).c_str());
   if (image.camera) {
     print_camera(image);
   } else {
@@ -69,6 +79,7 @@ void print_image(const ImageFacts& image) {
     std::printf("  sun           %.1f deg high, azimuth %.1f deg\n", *info.sun_elevation_deg,
                 *info.sun_azimuth_deg);
   if (info.acquisition_date) std::printf("  date          %s\n", info.acquisition_date->c_str());
+  if (!image.damage.empty()) std::printf("  pixels        damaged: %s\n", image.damage.c_str());
 }
 
 /// The network, and what `train` has noted of its origin, if it did.
@@ -117,15 +128,20 @@ void print_pairs(const Info& info) {
       std::printf("; with shifts %.2f px across", pointing.after[k].across);
     std::printf("\n");
   }
-  std::printf("  correction    %s\n", pointing.verdict.c_str());
+  std::printf("  correction    %s\n", correction_line(pointing).c_str());
   for (std::size_t i = 0; pointing.applied && i < pointing.shifts.size(); ++i)
     std::printf("  shift         %s: x %.2f, y %.2f px\n", file(i).file.filename().c_str(),
                 pointing.shifts[i].x, pointing.shifts[i].y);
 }
 
 void run_info(const InfoOptions& options) {
-  const Info info = info_of(options.images, options.image_dirs);
+  const Info info = [&] {
+    const EndsAtSignal stops;
+    return info_of(options.images, options.image_dirs);
+  }();
   for (const auto& [file, why] : info.failed) log_line(LogLevel::error, with_flag(why, true));
+  for (const ImageFacts& image : info.images)
+    if (!image.damage.empty()) log_line(LogLevel::error, image.damage);
   if (options.json) {
     const auto replace = nlohmann::json::error_handler_t::replace;  // of a path that is not UTF-8
     std::printf("%s\n", info_json(info).dump(2, ' ', false, replace).c_str());
@@ -134,7 +150,9 @@ void run_info(const InfoOptions& options) {
     if (info.cameras.size() > 1) print_pairs(info);
     for (const WeightsFacts& weights : info.weights) print_weights(weights);
   }
-  if (!info.failed.empty()) throw AlreadyTold{};
+  const bool damaged =
+      std::ranges::any_of(info.images, [](const ImageFacts& i) { return !i.damage.empty(); });
+  if (damaged || !info.failed.empty()) throw AlreadyTold{};
 }
 
 }  // namespace

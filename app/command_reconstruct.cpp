@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/log.h"
 #include "satsurf/app/program.h"
 #include "satsurf/app/reconstruct_job.h"
 #include "satsurf/core/memory.h"
@@ -7,9 +8,13 @@
 #include "satsurf/rpc/read.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <functional>
 #include <memory>
+#include <set>
 #include <string>
+#include <system_error>
+#include <vector>
 
 namespace satsurf::app {
 namespace {
@@ -38,8 +43,25 @@ bool needs_tiles(const ReconstructJob& job) {
                  memory_from_text(options.max_memory, "max_memory"));
 }
 
-void run_reconstruct(const ReconstructCommand& options) {
+/// Keeps the first of the names that mean one file: an image beside itself says nothing about heights,
+/// and overlapping patterns of a shell may name thousands.
+void drop_repeated(std::vector<std::filesystem::path>& images) {
+  std::set<std::filesystem::path> seen;
+  const std::size_t named = images.size();
+  std::erase_if(images, [&](const std::filesystem::path& image) {
+    std::error_code unknown;  // what cannot be resolved is told when it is opened
+    const auto file = std::filesystem::weakly_canonical(image, unknown);
+    return !seen.insert(unknown ? image : file).second;
+  });
+  if (images.size() < named)
+    log_line(LogLevel::info, std::to_string(named - images.size()) + " of " +
+                                 std::to_string(named) +
+                                 " names of images mean one that came before, and are passed over");
+}
+
+void run_reconstruct(ReconstructCommand& options) {
   const NoGrad no_grad;
+  drop_repeated(options.images);
   ReconstructJob job(options);
   if (needs_tiles(job))
     reconstruct_tiles(job);

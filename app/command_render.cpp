@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/from_above.h"
+#include "satsurf/app/interrupt.h"
 #include "satsurf/app/legend.h"
 #include "satsurf/app/output_folder.h"
 #include "satsurf/app/preview.h"
@@ -148,6 +149,7 @@ void run_render(const RenderCommand& options) {
   for (const fs::path& file : png && !image ? map_files(options.out) : std::vector{options.out})
     check_output_file("--out", file, options.overwrite, inputs);
   const NoGrad no_grad;
+  std::optional<EndsAtSignal> stops(std::in_place);
   const splat::PlyContent content = splat::read_ply(options.surfels);
   const rpc::LocalFrame frame = frame_from_comments(content.comments, options.surfels.string());
   const rpc::HeightRange z_range = heights_of(content.surfels, options.surfels.string());
@@ -166,13 +168,16 @@ void run_render(const RenderCommand& options) {
       throw Error("render: " + options.image.string() + " sees nothing of " +
                   options.surfels.string() + ", expected an image of that place");
     Tensor colour = splat::surface_colours(render);
+    stops.reset();
     if (png) return write_png(options.out, colour);
     for (float& v : colour.values()) v *= 255;
     return rpc::write_rpc_geotiff(options.out, colour, rpc::PixelType::uint8, *image->rpc);
   }
 
   const GridFromAbove above = grid_of(options, frame, content.surfels);
-  write_from_above(options, render_from_above(content.surfels, above), above.field, frame);
+  const splat::Render render = render_from_above(content.surfels, above);
+  stops.reset();
+  write_from_above(options, render, above.field, frame);
 }
 
 /// A flag takes the place of what the file says of where to look from.

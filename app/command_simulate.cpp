@@ -48,10 +48,11 @@ void run_simulate(const SimulateOptions& options) {
   scene::check_config(config);
   if (options.surface.empty() && !options.classes.empty())
     throw ConfigError("--classes comes without --surface, expected both or none");
-  RunRecord record("simulate", to_json(config), config.seed);
+  RunRecord record("simulate", recorded_config(config), config.seed);
   std::optional<scene::GivenSurface> surface;
   std::vector<fs::path> inputs{options.config_file};
   if (!options.surface.empty()) {
+    const EndsAtSignal stops;
     surface = scene::read_surface(options.surface, options.classes);
     for (const fs::path& file : {options.surface, options.classes}) {
       if (file.empty()) continue;
@@ -63,7 +64,7 @@ void run_simulate(const SimulateOptions& options) {
   OutputFolder folder = OutputFolder::staged(options.out, options.overwrite, inputs);
   Progress progress;
   for (Index i = 0; i < config.scenes; ++i) {
-    if (interrupted()) throw Interrupted{};
+    stop_if_interrupted();
     progress.update("simulate", static_cast<double>(i) / static_cast<double>(config.scenes));
     const scene::SimulatedScene scene =
         surface ? scene::simulate_on_surface(*surface, config, config.seed, i)

@@ -147,7 +147,7 @@ void run_train(const TrainOptions& options) {
   train::StepReport last;
   if (!options.data.empty())
     scene::list_scenes(options.data);  // a wrong folder is told before its files are read
-  RunRecord record("train", std::visit([](const auto& c) { return to_json(c); }, config),
+  RunRecord record("train", std::visit([](const auto& c) { return recorded_config(c); }, config),
                    options.seed);
   if (!options.data.empty()) record.add_input(options.data);
   for (const fs::path& file : weights) record.add_input(file);
@@ -157,7 +157,11 @@ void run_train(const TrainOptions& options) {
                            ? RecentTerm("correlation", "correlation", 3, "")
                            : RecentTerm("height_mae", "height error", 2, " m");
   train::TrainingCallbacks callbacks;
+  // Of settings that do nothing only a run tells that goes: errors come alone.
+  bool told = false;
   callbacks.step = [&](const train::StepReport& r) {
+    if (const auto* c = std::get_if<train::TrainConfig>(&config); c && !std::exchange(told, true))
+      for (const std::string& text : train::idle_settings(*c)) progress.note(text);
     if (interrupted() && r.step == 1) throw Interrupted{};  // before anything is worth keeping
     folder.add(r);
     watched.add(r);
@@ -170,10 +174,8 @@ void run_train(const TrainOptions& options) {
   callbacks.save = [&](const TensorFile& checkpoint, const TensorFile& network) {
     folder.save(checkpoint, network);
   };
-  callbacks.reading = [&](double read) {  // what can be wrong with the settings has been told
-    if (interrupted()) throw Interrupted{};
-    if (const auto* c = std::get_if<train::TrainConfig>(&config); c != nullptr && read == 0)
-      for (const std::string& text : train::idle_settings(*c)) log_line(LogLevel::info, text);
+  callbacks.reading = [&](double read) {
+    stop_if_interrupted();
     progress.update("read", read);
   };
   callbacks.note = [](const std::string& text) { log_line(LogLevel::info, text); };

@@ -27,7 +27,9 @@ struct EvaluateOutput {
 
 /// `--register` of a surface and of a data set's surfaces.
 inline Field registration_field() {
-  return {.help = "what is taken out first: nothing, the median offset, or also a shift"};
+  return {.help =
+              "what is taken out first: nothing, the median offset, or also a shift of up to "
+              "15 m, if it leaves smaller errors"};
 }
 /// `--lpips-weights` of a picture and of a data set's rendered views.
 inline Field lpips_field() {

@@ -39,8 +39,14 @@ ImageFacts image_of(const fs::path& file, const std::vector<fs::path>& image_dir
   ImageFacts image{
       file,
       file.extension() == ".json" ? rpc::view_info(file, image_dirs) : rpc::read_info(file),
+      {},
       {}};
   if (image.info.rpc) image.camera = camera_of(image.info);
+  try {
+    rpc::check_pixels(image.info.path);
+  } catch (const Error& e) {  // does not make what the file says of itself less true
+    image.damage = e.what();
+  }
   return image;
 }
 
@@ -95,7 +101,7 @@ PointingFacts pointing_of(const Info& info, const std::vector<fs::path>& image_d
       views.push_back(scene::view_of(rpc::open_view(file, image_dirs), file));
     }
     return {scene::measure_pointing(views, *heights), {}};
-  } catch (const Error& e) {  // pixels that cannot be read do not make what files say less true
+  } catch (const Error& e) {  // what files say of themselves stays true
     return {{}, e.what()};
   }
 }
@@ -130,6 +136,7 @@ nlohmann::ordered_json image_json(const ImageFacts& image) {
     json["sun"] = {{"elevation_deg", *info.sun_elevation_deg},
                    {"azimuth_deg", *info.sun_azimuth_deg}};
   if (info.acquisition_date) json["date"] = *info.acquisition_date;
+  if (!image.damage.empty()) json["error"] = image.damage;
   return json;
 }
 
@@ -148,7 +155,7 @@ Info info_of(const std::vector<fs::path>& files, const std::vector<fs::path>& im
     }
   }
   for (std::size_t i = 0; i < info.images.size(); ++i)
-    if (info.images[i].camera) info.cameras.push_back(i);
+    if (info.images[i].camera && info.images[i].damage.empty()) info.cameras.push_back(i);
   for (std::size_t i = 0; i < info.cameras.size(); ++i)
     for (std::size_t j = i + 1; j < info.cameras.size(); ++j)
       info.pairs.push_back(pair_of(info, i, j));
@@ -182,6 +189,7 @@ nlohmann::ordered_json info_json(const Info& info) {
   }
   const scene::Pointing& pointing = *info.pointing.measured;
   json["pointing"] = pointing_json(pointing);
+  json["pointing"]["verdict"] = correction_line(pointing);
   for (std::size_t k = 0; k < pointing.before.size(); ++k) {
     const scene::PairResidual& before = pointing.before[k];
     nlohmann::ordered_json pair{

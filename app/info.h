@@ -30,6 +30,7 @@ struct ImageFacts {
   std::filesystem::path file;  ///< as it was named
   rpc::RasterInfo info;
   std::optional<CameraFacts> camera;
+  std::string damage;  ///< why its pixels cannot be read; empty where they can
 };
 /// What a file of weights holds.
 struct WeightsFacts {
@@ -52,7 +53,7 @@ struct PointingFacts {
 /// All that `info` found out.
 struct Info {
   std::vector<ImageFacts> images;
-  std::vector<std::size_t> cameras;  ///< which of them have one
+  std::vector<std::size_t> cameras;  ///< which of them have one, and sound pixels
   std::vector<WeightsFacts> weights;
   std::vector<PairFacts> pairs;
   PointingFacts pointing;                                             ///< of two or more cameras
@@ -60,7 +61,8 @@ struct Info {
 };
 
 /// Looks into images and weights. A file that cannot be read goes to `failed`, and the others are
-/// looked at all the same.
+/// looked at all the same. Pixels are read once, those of large images only where a file that was cut
+/// off lacks them (see `rpc::check_pixels`).
 /// image_dirs  where else to look for the images JSON files name
 Info info_of(const std::vector<std::filesystem::path>& files,
              const std::vector<std::filesystem::path>& image_dirs);

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <thread>
+
 namespace satsurf::app {
 
 /// Thrown out of a command that was told to stop, e.g. by Ctrl-C.
@@ -17,5 +19,20 @@ void catch_interrupts();
 bool interrupted();
 /// The signal noted, 0 for none.
 int interrupt_signal();
+/// throws  Interrupted if one has come
+void stop_if_interrupted();
+
+/// While one lives, a signal ends the program within half a second, even inside a call that asks for
+/// none: a library that reads a raster, a sum over 10^9 cells. For work that has nothing to put away:
+/// no file is open for writing.
+class EndsAtSignal {
+ public:
+  EndsAtSignal();
+  EndsAtSignal(const EndsAtSignal&) = delete;
+  EndsAtSignal& operator=(const EndsAtSignal&) = delete;
+
+ private:
+  std::jthread watch_;
+};
 
 }  // namespace satsurf::app

@@ -76,10 +76,21 @@ Colour colour_at(const ColourScale& scale, double share) {
   return out;
 }
 
+/// A pointed end of a scale: what lies beyond has its colour, too.
+/// x  of its side at the scale; it points away from there, 5 dots far
+void draw_end(Tensor& picture, Index x, Index y, Index dot, bool left, const Colour& colour) {
+  for (Index j = 0; j < 5 * dot; ++j) {
+    const Index tall = std::max<Index>(1, 8 * (5 * dot - j) / 5);
+    fill(picture, left ? x - 1 - j : x + j, y + (8 * dot - tall) / 2, 1, tall, colour);
+  }
+}
+
 /// The colours of a scale, their numbers below.
 /// dot  side of the text's dots, px
 void draw_scale(Tensor& picture, const ColourScale& scale, Index x, Index y, Index width,
                 Index dot) {
+  if (scale.below) draw_end(picture, x, y, dot, true, scale.colours.front());
+  if (scale.above) draw_end(picture, x + width, y, dot, false, scale.colours.back());
   for (Index j = 0; j < width; ++j)
     fill(picture, x + j, y, 1, 8 * dot,
          colour_at(scale, (static_cast<double>(j) + 0.5) / static_cast<double>(width)));

@@ -5,12 +5,17 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
+#include <cstdio>
 #include <memory>
+#include <mutex>
 #include <string_view>
+#include <system_error>
+#include <utility>
 
 #include <spdlog/logger.h>
 #include <spdlog/pattern_formatter.h>
-#include <spdlog/sinks/basic_file_sink.h>
+#include <spdlog/sinks/base_sink.h>
 #include <spdlog/sinks/stdout_sinks.h>
 
 namespace satsurf::app {
@@ -51,6 +56,36 @@ spdlog::logger& terminal_log() {
   return log;
 }
 
+/// The end of a file, a line at a time: a crash must not take the last ones along. spdlog's own does
+/// not notice that a disk is full.
+class FileSink : public spdlog::sinks::base_sink<std::mutex> {
+ public:
+  explicit FileSink(const std::filesystem::path& file)
+      : file_(file), stream_(std::fopen(file.c_str(), "ab")) {
+    if (stream_ == nullptr) throw IoError(file_.string() + ": cannot be written");
+  }
+  ~FileSink() override { std::fclose(stream_); }
+
+ protected:
+  void sink_it_(const spdlog::details::log_msg& message) override {
+    spdlog::memory_buf_t line;
+    formatter_->format(message, line);
+    if (std::fwrite(line.data(), 1, line.size(), stream_) == line.size() &&
+        std::fflush(stream_) == 0)
+      return;
+    const int code = errno;
+    if (!std::exchange(told_, true))
+      terminal_log().warn("{}: messages are missing from here on, as it cannot be written ({})",
+                          file_.string(), std::generic_category().message(code));
+  }
+  void flush_() override {}
+
+ private:
+  std::filesystem::path file_;
+  std::FILE* stream_;
+  bool told_ = false;
+};
+
 std::unique_ptr<spdlog::logger> file_log;
 
 }  // namespace
@@ -58,18 +93,11 @@ std::unique_ptr<spdlog::logger> file_log;
 void open_log(LogLevel level, bool quiet, const std::filesystem::path& file) {
   terminal_log().set_level(spdlog_level(quiet ? std::min(level, LogLevel::warning) : level));
   if (file.empty()) return;
-  try {
-    // the sink would make the missing folders of a mistyped path
-    if (file.has_parent_path() && !std::filesystem::is_directory(file.parent_path()))
-      throw IoError(file.string() + ": no folder " + file.parent_path().string());
-    auto sink = std::make_shared<spdlog::sinks::basic_file_sink_mt>(file.string());
-    file_log = std::make_unique<spdlog::logger>("file", std::move(sink));
-  } catch (const spdlog::spdlog_ex&) {
-    throw IoError(file.string() + ": cannot be written");
-  }
+  if (file.has_parent_path() && !std::filesystem::is_directory(file.parent_path()))
+    throw IoError(file.string() + ": no folder " + file.parent_path().string());
+  file_log = std::make_unique<spdlog::logger>("file", std::make_shared<FileSink>(file));
   file_log->set_pattern("%Y-%m-%dT%H:%M:%S.%e%z %-7l %v");
   file_log->set_level(spdlog_level(level));
-  file_log->flush_on(spdlog::level::debug);  // a crash must not take the last lines along
 }
 
 void log_line(LogLevel level, const std::string& text, bool on_stderr) {

@@ -62,6 +62,9 @@ int run_program(int argc, char** argv) {
   } catch (const CLI::ExtrasError&) {
     complain(unexpected_arguments(program, app.remaining(true)));
     return kUsage;
+  } catch (const CLI::ArgumentMismatch& e) {
+    complain(missing_value(program, e.what()) + "; see satsurf --help");
+    return kUsage;
   } catch (const CLI::ParseError& e) {
     complain(std::string(e.what()) + "; see satsurf --help");
     return kUsage;

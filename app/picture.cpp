@@ -2,6 +2,7 @@
 #include "satsurf/app/picture.h"
 
 #include "satsurf/core/error.h"
+#include "satsurf/core/files.h"
 #include "satsurf/core/memory.h"
 
 #include <algorithm>
@@ -106,8 +107,8 @@ Tensor read_picture(const std::filesystem::path& path) {
   const auto refuse = [&](const std::string& what) {
     throw IoError(where + ": " + what + ", expected a PNG, JPEG or TIFF picture");
   };
+  require_file(path, "a PNG, JPEG or TIFF picture");
   std::error_code ec;
-  if (!std::filesystem::is_regular_file(path, ec)) refuse("no such file");
   const std::string format = format_of(path);
   if (format.empty()) refuse("of another format");
   if (is_truncated_png(path)) refuse("the file ends too early");
@@ -138,12 +139,19 @@ Tensor read_picture(const std::filesystem::path& path) {
   check_packing(size);
   const Index C = spec.nchannels < 3 ? 1 : 3, H = spec.height, W = spec.width;
   check_memory(where + ": " + described(size) + " need",
-               2 * sizeof(float) * static_cast<double>(C * H * W), "cut it");
-  std::vector<float> pixels(static_cast<std::size_t>(C * H * W));
-  if (!in->read_image(0, 0, 0, static_cast<int>(C), OIIO::TypeDesc::FLOAT, pixels.data()))
-    refuse(told(in->geterror()));
-
+               (C == 1 ? 1 : 2) * sizeof(float) * static_cast<double>(C * H * W), "cut it");
+  // What is cut off is an error that some formats only note, with zeros for the rest.
+  const auto read = [&](float* to) {
+    if (!in->read_image(0, 0, 0, static_cast<int>(C), OIIO::TypeDesc::FLOAT, to) || in->has_error())
+      refuse(told(in->geterror()));
+  };
   auto out = Tensor::uninitialised({C, H, W});
+  if (C == 1) {
+    read(out.data());
+    return out;
+  }
+  std::vector<float> pixels(static_cast<std::size_t>(C * H * W));
+  read(pixels.data());
   for (Index i = 0; i < H * W; ++i)
     for (Index c = 0; c < C; ++c) out[c * H * W + i] = pixels[static_cast<std::size_t>(i * C + c)];
   return out;

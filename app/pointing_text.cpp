@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/pointing_text.h"
 
+#include <algorithm>
+
 #include <fmt/format.h>
 
 namespace satsurf::app {
@@ -34,6 +36,14 @@ std::string pointing_line(const scene::Pointing& pointing) {
       "mean is zero, so where the ground as a whole lies stays as the cameras have it)",
       measured, scene::mean_across(pointing.after).value_or(0), pointing.largest_shift,
       pointing.verdict);
+}
+
+std::string correction_line(const scene::Pointing& pointing) {
+  if (!pointing.applied) return pointing.verdict;
+  const std::size_t rest = std::min(pointing.verdict.find(';'), pointing.verdict.size());
+  return fmt::format("needed: satsurf reconstruct would shift cameras by up to {:.2f} px",
+                     pointing.largest_shift) +
+         pointing.verdict.substr(rest);
 }
 
 nlohmann::ordered_json pointing_json(const scene::Pointing& pointing) {

@@ -134,7 +134,8 @@ std::string encoded(const std::string& where, const Tensor& picture, const char*
 
 ColourScale height_scale(const Tensor& z, double h0) {
   std::vector<float> known = known_of(z);
-  ColourScale scale{"height above the ellipsoid, m", h0, h0 + 1, true, true, ramp(kHeights)};
+  ColourScale scale{
+      "m above the ellipsoid; 2 % beyond each end", h0, h0 + 1, true, true, ramp(kHeights)};
   if (known.empty()) return scale;
   const auto low = static_cast<double>(percentile(known, 0.02)),
              high = static_cast<double>(percentile(known, 0.98));
@@ -151,17 +152,30 @@ ColourScale sigma_scale(const Tensor& sigma) {
   return {"expected error, m", 0, std::max(high, 1e-3), false, true, ramp(kSigma)};
 }
 
-ColourScale count_scale(Index most) {
-  return {"images that see the cell",
-          0,
-          static_cast<double>(std::max<Index>(most, 1)),
-          false,
-          false,
-          ramp(kCounts)};
+std::vector<std::array<float, 3>> count_colours(Index most) {
+  Tensor counts({1, most + 1});
+  for (Index n = 0; n <= most; ++n) counts[n] = static_cast<float>(n);
+  const Tensor rgb = count_picture(counts, most);
+  std::vector<std::array<float, 3>> out;
+  for (Index n = 0; n <= most; ++n)
+    out.push_back({rgb[n], rgb[most + 1 + n], rgb[2 * (most + 1) + n]});
+  return out;
 }
 
 ColourScale error_scale(double limit) {
   return {"error, m: blue too low, red too high", -limit, limit, true, true, ramp("", kErrors)};
+}
+
+Tensor stretched_picture(const Tensor& picture) {
+  constexpr double kLeastSpan = 0.05;  // of a picture of one colour no noise is to be made visible
+  std::vector<float> known = known_of(picture);
+  if (known.empty()) return picture.clone();
+  const auto low = static_cast<double>(percentile(known, 0.01)),
+             high = static_cast<double>(percentile(known, 0.99));
+  Tensor out = scaled(picture, low, std::max(high, low + kLeastSpan));
+  for (float& v : out.values())
+    if (std::isfinite(v)) v = std::clamp(v, 0.F, 1.F);
+  return out;
 }
 
 Tensor height_picture(const Tensor& z) {
@@ -209,7 +223,8 @@ Tensor sigma_picture(const Tensor& sigma) {
 }
 
 Tensor count_picture(const Tensor& views, Index most) {
-  return coloured("count_picture", scaled(views, 0, count_scale(most).high), kCounts, {});
+  return coloured("count_picture", scaled(views, 0, static_cast<double>(std::max<Index>(most, 1))),
+                  kCounts, {});
 }
 
 Tensor error_picture(const Tensor& error, double limit) {

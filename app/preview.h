@@ -29,11 +29,15 @@ ColourScale height_scale(const Tensor& z, double h0);
 ColourScale confidence_scale();
 /// Of `sigma_picture`.
 ColourScale sigma_scale(const Tensor& sigma);
-/// Of `count_picture`.
-ColourScale count_scale(Index most);
+/// Of `count_picture`: the colour of each count from none to `most`.
+std::vector<std::array<float, 3>> count_colours(Index most);
 /// Of `error_picture`.
 ColourScale error_scale(double limit = 5);
 
+/// A picture of any brightness made legible: the 1st percentile of its values becomes black and the
+/// 99th white, alike in all channels.
+/// picture  [3 H W] in [0, 1], NaN where unknown
+Tensor stretched_picture(const Tensor& picture);
 /// Heights through a perceptually even colour map, dark low and bright high, stretched from the 2nd
 /// to the 98th percentile.
 Tensor height_picture(const Tensor& z);

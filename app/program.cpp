@@ -52,4 +52,34 @@ std::string unexpected_arguments(const Program& program, const std::vector<std::
                      meant ? ", did you mean " + *meant + "?" : "", hint);
 }
 
+namespace {
+
+/// What a flag takes, in words.
+std::string value_text(const Flag& flag) {
+  if (!flag.info.type.ends_with("text") || flag.info.range.empty())
+    return flag.option->get_type_name();
+  std::string words = flag.info.range;
+  const bool several = words.find(" | ") != std::string::npos;
+  for (std::size_t at; (at = words.find(" | ")) != std::string::npos;) words.replace(at, 3, ", ");
+  return (several ? "one of " : "") + words;
+}
+
+}  // namespace
+
+std::string missing_value(const Program& program, const std::string& complaint) {
+  const std::vector<CLI::App*> called = program.app.get_subcommands();
+  const std::size_t end = complaint.find(':');
+  if (called.empty() || end == std::string::npos || !complaint.ends_with(" missing"))
+    return complaint;
+  const std::string spelling = complaint.substr(0, end);
+  for (const Command& command : program.commands) {
+    if (&command.flags.command() != called.front()) continue;
+    for (const Flag& flag : command.flags.all())
+      if (flag.option->check_name(spelling))
+        return fmt::format("{}: {} came without a value, expected {}", command.flags.name(),
+                           spelling, value_text(flag));
+  }
+  return complaint;
+}
+
 }  // namespace satsurf::app

@@ -104,6 +104,11 @@ std::string unknown_command(const Program& program, const std::string& name);
 /// left  what the parser could not place, in order
 std::string unexpected_arguments(const Program& program, const std::vector<std::string>& left);
 
+/// That a flag came without its value, or with too few, and what was expected. Other complaints of the
+/// parser come back as they are.
+/// complaint  the parser's
+std::string missing_value(const Program& program, const std::string& complaint);
+
 /// Prints a configuration as --config takes it.
 template <HasFields S>
 void print_config(const S& config) {

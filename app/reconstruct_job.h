@@ -100,13 +100,17 @@ struct ReconstructJob {
 void reconstruct_whole(ReconstructJob& job);
 void reconstruct_tiles(ReconstructJob& job);
 
-/// throws  Interrupted
-void stop_if_interrupted();
-
 /// The first lines of a plan: heights and ground.
-/// crs  of the rasters; none for that of the frame
-void print_plan_ground(const scene::UserScene& user, const reconstruct::Ground& ground,
+/// searched  of the heights, local m
+/// crs       of the rasters; none for that of the frame
+void print_plan_ground(const scene::UserScene& user, const rpc::HeightRange& searched,
+                       const reconstruct::Ground& ground,
                        const std::optional<rpc::ProjectedCrs>& crs);
+/// The last line of a plan: the time, which is an estimate.
+/// megapixels  that the network sees, of all images
+/// views       that it sees at once
+/// beside      s that the rest takes
+void print_plan_time(double megapixels, Index views, double beside);
 
 /// What the record says of every run.
 struct SurfaceFacts {

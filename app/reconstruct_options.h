@@ -66,12 +66,13 @@ struct ReconstructConfig {
   double min_coverage = 0;  ///< share of the common ground that must have a height
   Index max_surfels = 0;    ///< of surfels.ply, 0 for all
   MeshKind mesh = MeshKind::tsdf;
-  double voxel = 0;            ///< of the mesh, m; 0 for two pixels on the ground
-  std::vector<double> bbox;    ///< west, south, east, north in degrees; empty for all ground
-  std::filesystem::path aoi;   ///< polygons around the ground wanted; empty for all
-  std::filesystem::path mask;  ///< ground that is not wanted; empty for none
-  std::filesystem::path dem;   ///< model of the terrain that says the heights; empty for none
-  std::string max_memory;      ///< of the program, e.g. "4GB"; empty for any
+  double voxel = 0;                 ///< of the mesh, m; 0 for two pixels on the ground
+  std::vector<double> bbox;         ///< west, south, east, north in degrees; empty for all ground
+  std::filesystem::path aoi;        ///< polygons around the ground wanted; empty for all
+  std::filesystem::path mask;       ///< ground that is not wanted; empty for none
+  std::vector<double> mask_values;  ///< of a raster; empty for all but 0 and nodata
+  std::filesystem::path dem;        ///< model of the terrain that says the heights; empty for none
+  std::string max_memory;           ///< of the program, e.g. "4GB"; empty for any
   ReportKind report = ReportKind::html;
 
   template <class Self, class V>
@@ -169,11 +170,18 @@ struct ReconstructConfig {
     v("mask", s.mask,
       Field{.help =
                 "ground that is not wanted, water or clouds: polygons of a vector file, or the "
-                "cells of a raster that are neither 0 nor nodata, in any reference system. It "
+                "cells of a raster that are neither 0 nor nodata, see --mask-values, in any "
+                "reference system. It "
                 "stays nodata in all files, and its heights do not count where the height "
                 "range is found. Rasters of DFC2019 have their place in a text file beside them",
             .automatic = "none",
             .placeholder = "FILE"});
+    v("mask_values", s.mask_values,
+      Field{.help = "values of the --mask raster that are not wanted, of one with classes: 9 is "
+                    "water and 17 are bridges in DFC2019",
+            .automatic = "all but 0 and nodata",
+            .flag = "--mask-values",
+            .placeholder = "VALUE"});
     v("dem", s.dem,
       Field{.help = "a raster of terrain heights in m, in any reference system: the heights to "
                     "search are its own over the images' ground and 20 m below to 80 m above, tile "
@@ -232,11 +240,14 @@ inline std::vector<WrittenFile> written_by_reconstruct() {
        "expected error of the heights, m, on the same grid: some four fifths are within it and "
        "19 in 20 within twice as much; only of a refined surface"},
       {"views.tif",
-       "how many images see the cell, hidden ones not counted, on the same grid, nodata 255"},
+       "how many images see the cell, those not counted from which the surface hides it, on the "
+       "same grid, nodata 255"},
       {"ortho.tif",
-       "every cell as the steepest image that sees it shows it, on the same grid: the bands "
-       "that the network saw as red, green and blue, or the one of grey images, in the images' "
-       "own 8 or 16 bits; nodata 0, where no image sees the cell"},
+       "every cell as the steepest image that sees it shows it, where two others outvote that (a "
+       "cloud) as the next steepest, on the same grid: the bands that the network saw as red, "
+       "green and blue, or the one of grey images, in the images' "
+       "own 8 or 16 bits; nodata 0, where no image sees the cell, which may have a height all the "
+       "same"},
       {"surfels.ply",
        "the surface as Gaussian surfels in a local metric frame, which the header names"},
       {"mesh.ply", "the surface as triangles with colours, in the same frame; see --mesh"},

@@ -10,7 +10,6 @@
 #include "satsurf/core/block_pool.h"
 #include "satsurf/core/isa.h"
 #include "satsurf/core/memory.h"
-#include "satsurf/core/parallel.h"
 #include "satsurf/core/version.h"
 #include "satsurf/mesh/ply.h"
 #include "satsurf/mesh/simplify.h"
@@ -48,9 +47,6 @@ using Clock = std::chrono::steady_clock;
 constexpr std::size_t kBlockCache = std::size_t{128} << 20;  // bytes
 constexpr double kLargeCells = 25e6;  // from here on surfels are thinned to as many
 constexpr double kAssembly = 0.02;    // of the time of all tiles that putting them together takes
-/// Seconds that one thread takes for a megapixel that the network sees, surface and files included;
-/// measured with the shipped weights on an AMD EPYC with AVX-512.
-constexpr double kThreadSeconds = 6.5;
 
 double seconds_since(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
@@ -80,7 +76,7 @@ Wanted wanted_ground(const ReconstructCommand& options, const rpc::LocalFrame& f
   Wanted out;
   std::optional<rpc::Area> area;
   if (!options.aoi.empty())
-    area = out.polygons = rpc::read_area(options.aoi, frame.zone);
+    area = out.polygons = rpc::read_area(options.aoi, frame.zone, stop_if_interrupted);
   else if (!options.bbox.empty())
     area = rpc::area_of_box({options.bbox[0], options.bbox[1], options.bbox[2], options.bbox[3]},
                             frame.zone);
@@ -91,14 +87,8 @@ Wanted wanted_ground(const ReconstructCommand& options, const rpc::LocalFrame& f
   return out;
 }
 
-std::string time_text(double seconds) {
-  if (seconds < 90) return fmt::format("{:.0f} s", seconds);
-  if (seconds < 5400) return fmt::format("{:.0f} min", seconds / 60);
-  return fmt::format("{:.1f} h", seconds / 3600);
-}
-
 void print_plan(const Tiling& tiling, const scene::Survey& survey, const ReconstructJob& job) {
-  print_plan_ground(survey.user, tiling.grid.ground(), job.crs);
+  print_plan_ground(survey.user, survey.user.scene.z_range, tiling.grid.ground(), job.crs);
   std::printf("surface       %td x %td cells of %g m\n", tiling.grid.width, tiling.grid.height,
               tiling.grid.step);
   const double turned = tiling.axes.degrees();
@@ -111,11 +101,7 @@ void print_plan(const Tiling& tiling, const scene::Survey& survey, const Reconst
       tiling.views);
   std::printf("memory        about %s; %s are free\n", memory_text(tiling.memory_bytes).c_str(),
               memory_text(static_cast<double>(available_memory())).c_str());
-  std::printf(
-      "time          about %s, by %.1f s per megapixel and thread for %.0f megapixels on %d "
-      "threads\n",
-      time_text(kThreadSeconds * tiling.megapixels / threads()).c_str(), kThreadSeconds,
-      tiling.megapixels, threads());
+  print_plan_time(tiling.megapixels, tiling.views, 0);
 }
 
 /// throws  Error where the system has less memory than the plan needs
@@ -166,13 +152,27 @@ Index surfels_of_tile(const Tiling& tiling, const Tile& tile, Index most) {
   return std::max<Index>(1, static_cast<Index>(static_cast<double>(most) * share));
 }
 
+/// The reduced copies with cameras that hold at some heights, local m.
+std::vector<nn::PosedImage> posed_copies(const scene::Scene& copies,
+                                         const rpc::HeightRange& z_range) {
+  std::vector<nn::PosedImage> out;
+  for (const scene::View& view : copies.views)
+    out.push_back(scene::posed_image(view, copies.frame, z_range));
+  return out;
+}
+
 /// Makes the tiles that are not there yet. While one is worked on the windows of the next are read
 /// and the one before is written.
 class TileMaker {
  public:
   TileMaker(ReconstructJob& job, const scene::Survey& survey, const Tiling& tiling,
             const Wanted& wanted, TileStore& store)
-      : job_(job), survey_(survey), tiling_(tiling), wanted_(wanted), store_(store) {}
+      : job_(job),
+        survey_(survey),
+        tiling_(tiling),
+        wanted_(wanted),
+        store_(store),
+        exposures_(exposures_of_copies(survey.user.scene)) {}
 
   /// returns  what became of every tile
   std::vector<TileRecord> run() {
@@ -199,6 +199,11 @@ class TileMaker {
   }
 
  private:
+  /// Of the whole images: a cloud over all of a tile could not be told by the tile alone.
+  static reconstruct::Exposures exposures_of_copies(const scene::Scene& copies) {
+    return reconstruct::exposures_of(posed_copies(copies, copies.z_range), copies.z_range.middle());
+  }
+
   std::future<scene::WindowedScene> read(std::size_t k) const {
     return std::async(std::launch::async, [this, k] {
       const reconstruct::Ground box = tiling_.grid_of(tiling_.tiles[k].all).ground();
@@ -242,7 +247,8 @@ class TileMaker {
     TileRecord record;
     auto surface = std::make_shared<reconstruct::TileSurface>();
     try {
-      *surface = reconstruct::reconstruct_tile(job_.networks.model, part, tiling_, tile, how);
+      *surface =
+          reconstruct::reconstruct_tile(job_.networks.model, part, tiling_, tile, exposures_, how);
     } catch (const IoError&) {
       throw;
     } catch (const Error& e) {
@@ -277,6 +283,7 @@ class TileMaker {
   const Tiling& tiling_;
   const Wanted& wanted_;
   TileStore& store_;
+  reconstruct::Exposures exposures_;
   std::future<void> written_;
   std::size_t done_ = 0, all_ = 0, first_ = 0;  ///< of the tiles that are left, and those before
 };
@@ -373,16 +380,6 @@ scene::UserScene with_whole_cameras(const scene::Survey& survey) {
   return out;
 }
 
-/// The reduced copies with cameras that hold at the heights of the surface.
-std::vector<nn::PosedImage> posed_copies(const scene::Scene& copies,
-                                         const rpc::HeightRange& heights) {
-  const rpc::HeightRange z = copies.frame.z_from_heights(heights).widened(1);
-  std::vector<nn::PosedImage> out;
-  for (const scene::View& view : copies.views)
-    out.push_back(scene::posed_image(view, copies.frame, z));
-  return out;
-}
-
 /// small   of which the renders are made
 /// copies  the reduced images
 /// posed   these with their cameras
@@ -470,7 +467,8 @@ void reconstruct_tiles(ReconstructJob& job) {
   const SurfaceOverview small = overview_of_files(folder.path(), made, tiling.grid.step);
   const reconstruct::Reconstruction overview = overview_of(small, facts, scene);
   job.warnings.add(reconstruct::surface_warnings(overview));
-  const std::vector<nn::PosedImage> posed = posed_copies(scene, facts.heights);
+  const std::vector<nn::PosedImage> posed =
+      posed_copies(scene, scene.frame.z_from_heights(facts.heights).widened(1));
   const auto agreement = reconstruct::image_agreement(small.dsm, posed);
   facts.image_correlation = agreement.correlation;
   job.warnings.add(reconstruct::image_warnings(agreement, scene.views));

@@ -6,6 +6,7 @@
 #include "satsurf/app/reconstruct_job.h"
 #include "satsurf/app/reconstruct_report.h"
 #include "satsurf/app/surface_files.h"
+#include "satsurf/core/block_pool.h"
 #include "satsurf/core/memory.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/mesh/ply.h"
@@ -23,12 +24,17 @@
 #include <utility>
 #include <vector>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace satsurf::app {
 namespace {
 
 namespace fs = std::filesystem;
+
+/// Seconds of a run beside what grows with its pixels: it starts, looks for the heights and writes
+/// what is small; measured as the other ones are.
+constexpr double kBesideSeconds = 1.7;
 
 double mean_of(const Tensor& t) {
   double sum = 0, n = 0;
@@ -39,7 +45,7 @@ double mean_of(const Tensor& t) {
 
 void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene& user,
                 const ReconstructJob& job) {
-  print_plan_ground(user, plan.ground, job.crs);
+  print_plan_ground(user, plan.z_range, plan.ground, job.crs);
   std::printf("surface       %td x %td cells of %g m\n", plan.width, plan.height, plan.step);
   if (plan.voxel > 0) std::printf("mesh          voxels of %g m\n", plan.voxel);
   std::printf("tiles         %zu, each with %zu windows of %td x %td px\n", plan.tiles.size(),
@@ -48,6 +54,10 @@ void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene
               memory_text(static_cast<double>(available_memory())).c_str());
   for (const nn::PartMemory& part : plan.memory)
     std::printf("  %-12s%s\n", part.part.c_str(), memory_text(part.bytes).c_str());
+  if (plan.mesh_bytes > static_cast<double>(available_memory()))
+    std::printf("  mesh        %s, which it would not get: give a larger --voxel or --mesh none\n",
+                memory_text(plan.mesh_bytes).c_str());
+  print_plan_time(plan.megapixels, static_cast<Index>(user.scene.views.size()), kBesideSeconds);
 }
 
 /// [{part, bytes, planned_bytes}], and the same for the log.
@@ -122,6 +132,8 @@ nlohmann::ordered_json write_mesh(const fs::path& file, const std::vector<mesh::
   how.voxel = made.voxel;
   mesh::Mesh surface;
   try {
+    check_memory(fmt::format("voxels of {:g} m need", how.voxel), made.planned_mesh_bytes,
+                 "give a larger --voxel", static_cast<double>(tensor_bytes()));
     surface = mesh::mesh_from_views(seen, how);
   } catch (const Error& e) {
     throw Error(std::string(e.what()) + "; --mesh none leaves it out");
@@ -181,8 +193,7 @@ void reconstruct_whole(ReconstructJob& job) {
     progress.update(stage, fraction);
   };
   if (options.dry_run)
-    return print_plan(reconstruct::plan_reconstruction(job.networks.model.config(), scene, how),
-                      user, job);
+    return print_plan(reconstruct::plan_of_run(job.networks.model, scene, how), user, job);
   OutputFolder& folder = *job.staged;
   const reconstruct::Reconstruction made = reconstruct::reconstruct(job.networks.model, scene, how);
   SurfaceFacts facts = facts_of(made);
@@ -196,7 +207,8 @@ void reconstruct_whole(ReconstructJob& job) {
   job.warnings.add(reconstruct::image_warnings(agreement, scene.views));
 
   progress.update("write", 0);
-  const reconstruct::Visibility visibility = reconstruct::find_visibility(made.dsm, made.images);
+  const reconstruct::Visibility visibility = reconstruct::find_visibility(
+      made.dsm, made.images, reconstruct::exposures_of(made.images, made.z_range.middle()));
   std::future<void> surfels =
       write_surfels(folder / "surfels.ply", made, scene.frame, options.max_surfels);
   write_rasters(folder.path(), made, scene, visibility, facts.datum);

@@ -5,7 +5,6 @@
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/block_pool.h"
 #include "satsurf/core/error.h"
-#include "satsurf/core/fields_json.h"
 #include "satsurf/core/isa.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/tensor.h"
@@ -15,7 +14,9 @@
 #include <array>
 #include <cmath>
 #include <ctime>
+#include <system_error>
 #include <utility>
+#include <variant>
 
 #include <sys/resource.h>
 #include <unistd.h>
@@ -120,12 +121,28 @@ nlohmann::ordered_json RunRecord::json() const {
   return j;
 }
 
+std::filesystem::path in_full(const std::filesystem::path& path) {
+  if (path.empty()) return path;
+  std::error_code gone;  // the working directory; then nothing better is known than what came
+  const std::filesystem::path full = std::filesystem::absolute(path, gone);
+  return gone ? path : full;
+}
+
+void name_in_full(const std::vector<FieldRef>& fields) {
+  using Path = std::filesystem::path;
+  for (const FieldRef& field : fields)
+    if (Path* const* one = std::get_if<Path*>(&field.target))
+      **one = in_full(**one);
+    else if (std::vector<Path>* const* list = std::get_if<std::vector<Path>*>(&field.target))
+      for (Path& path : **list) path = in_full(path);
+}
+
 std::vector<std::pair<std::string, std::string>> record_keys() {
   return {{"program", "satsurf"},
           {"version", "of the program"},
           {"git", "commit it was built from, -dirty with changes"},
           {"command", "what ran"},
-          {"config", "the configuration in effect, defaults included; --config takes it"},
+          {"config", "settings in effect, defaults and full paths included; --config takes it"},
           {"seed", "of what is random, 0 where nothing is"},
           {"host", "name of the machine"},
           {"isa", "instruction set: baseline, avx2 or avx512"},

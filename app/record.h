@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/fields_json.h"
+
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
@@ -21,7 +23,7 @@ class RunRecord {
  public:
   /// Starts the clock.
   /// command  name of the sub-command
-  /// config   the effective configuration, defaults included
+  /// config   the effective configuration, defaults included; see `recorded_config`
   /// seed     of the run
   RunRecord(std::string command, nlohmann::json config, std::uint64_t seed);
 
@@ -60,6 +62,17 @@ class RunRecord {
   std::chrono::system_clock::time_point started_;
   std::chrono::steady_clock::time_point clock_;
 };
+
+/// Names a file or folder from the root of the file system; an empty name stays empty.
+std::filesystem::path in_full(const std::filesystem::path& path);
+/// Names all files and folders of a configuration so.
+void name_in_full(const std::vector<FieldRef>& fields);
+/// A configuration as a record has it: whoever repeats the run stands in another folder.
+template <HasFields S>
+nlohmann::json recorded_config(S config) {
+  name_in_full(collect_fields(config));
+  return to_json(config);
+}
 
 /// The keys of `RunRecord::json` and what they hold, in words.
 std::vector<std::pair<std::string, std::string>> record_keys();

@@ -7,7 +7,9 @@
 #include "satsurf/core/dims.h"
 #include "satsurf/core/error.h"
 
+#include <algorithm>
 #include <map>
+#include <optional>
 #include <string_view>
 
 #include <fmt/format.h>
@@ -32,6 +34,21 @@ std::string filled(std::string_view page, const std::map<std::string, std::strin
   }
 }
 
+/// Whether a cell has a word, such as a hash, that may have to be cut to fit.
+/// cell  HTML
+bool has_long_word(const std::string& cell) {
+  constexpr int kLong = 24;
+  int length = 0;
+  bool in_tag = false;
+  for (const char c : cell) {
+    in_tag = c == '<' || (in_tag && c != '>');
+    if (in_tag || c == '>') continue;
+    length = c == ' ' ? 0 : length + 1;
+    if (length > kLong) return true;
+  }
+  return false;
+}
+
 /// A table that becomes cards on a phone.
 /// escape  false where the cells are HTML already
 std::string table_html(const ReportTable& table, bool escape = true) {
@@ -40,9 +57,12 @@ std::string table_html(const ReportTable& table, bool escape = true) {
   out += "</tr></thead>\n<tbody>\n";
   for (const auto& row : table.rows) {
     out += "<tr>";
-    for (std::size_t k = 0; k < row.size(); ++k)
-      out += "<td data-label=\"" + (k < table.head.size() ? escaped(table.head[k]) : "") + "\">" +
-             (escape ? escaped(row[k]) : row[k]) + "</td>";
+    for (std::size_t k = 0; k < row.size(); ++k) {
+      const std::string cell = unbroken(escape ? escaped(row[k]) : row[k]);
+      out += std::string("<td") + (has_long_word(cell) ? " class=\"long\"" : "") +
+             " data-label=\"" + (k < table.head.size() ? escaped(table.head[k]) : "") + "\">" +
+             cell + "</td>";
+    }
     out += "</tr>\n";
   }
   return out + "</tbody></table></div>\n";
@@ -68,7 +88,7 @@ std::string place_text(const Report& report) {
 std::string facts_html(const Report& report) {
   std::string out;
   for (const auto& [number, what] : report.facts)
-    out += "<div class=\"fact\"><b>" + escaped(number) + "</b><span>" + escaped(what) +
+    out += "<div class=\"fact\"><b>" + unbroken(escaped(number)) + "</b><span>" + escaped(what) +
            "</span></div>\n";
   return out;
 }
@@ -78,7 +98,7 @@ std::string warnings_html(const Report& report) {
     return "<p class=\"good\">No warnings: nothing of what is checked looks wrong.</p>";
   std::string out = "<aside class=\"warnings\"><h2>Look twice</h2><ul>\n";
   for (const reconstruct::Warning& warning : report.warnings)
-    out += "<li>" + escaped(warning.text) + "</li>\n";
+    out += "<li>" + unbroken(escaped(warning.text)) + "</li>\n";
   return out + "</ul></aside>";
 }
 
@@ -90,14 +110,15 @@ std::string images_html(const Report& report) {
         {fmt::format("<span><span class=\"swatch\" style=\"background:{}\"></span>{} {}</span>",
                      image_colour(n), n + 1, escaped(i.name)),
          i.date.empty() ? "unknown" : escaped(i.date),
-         fmt::format("{} &times; {} px, {} &times; {}", i.width, i.height, i.bands,
-                     escaped(i.type)),
+         fmt::format("{}&nbsp;&times;&nbsp;{} px, {}&nbsp;&times;&nbsp;{}", i.width, i.height,
+                     i.bands, escaped(i.type)),
          fmt::format("{:.2f} m", i.gsd),
          fmt::format("{:.1f}&deg; off nadir, azimuth {:.0f}&deg;", i.off_nadir_deg, i.azimuth_deg),
          i.sun_deg ? fmt::format("{:.1f}&deg; high, azimuth {:.0f}&deg;", (*i.sun_deg)[0],
                                  (*i.sun_deg)[1])
                    : "unknown",
-         i.shift ? fmt::format("x {:+.2f}, y {:+.2f} px", i.shift->x, i.shift->y) : "none"});
+         i.shift ? fmt::format("x&nbsp;{:+.2f}, y&nbsp;{:+.2f} px", i.shift->x, i.shift->y)
+                 : "none"});
   }
   std::string out = table_html(table, false);
   if (report.left_out.empty()) return out;
@@ -107,25 +128,55 @@ std::string images_html(const Report& report) {
   return out + "</ul>\n";
 }
 
+/// Whether every pair has a residual of its own along the epipolar direction. A point in three images
+/// has one, for its height takes the rest up; its pairs share it by where the satellites stand. With
+/// one halfway between the others, those two get none of it, whatever their cameras say.
+bool along_by_pairs(const Report& report) { return report.images.size() > 3; }
+
+/// How three images agree along the epipolar directions; empty for others.
+std::string along_of_three(const Report& report) {
+  std::optional<double> most;
+  for (const ReportPair& p : report.pairs)
+    if (p.along) most = std::max(most.value_or(0), *p.along);
+  if (!most || along_by_pairs(report)) return {};
+  return unbroken(
+      fmt::format(" Along it three images tell one number, not one for each pair: the height that "
+                  "they have in common leaves {:.2f} px at most.",
+                  *most));
+}
+
 std::string pointing_html(const Report& report) {
-  std::string out = "<p>" + escaped(report.pointing) + "</p>\n";
+  std::string out = "<p>" + unbroken(escaped(report.pointing)) + "</p>\n";
   if (report.pairs.empty()) return out;
-  ReportTable table{{"Pair", "Tie points", "Before", "After", "Along"}, {}};
+  const bool along = along_by_pairs(report);
+  ReportTable table{{"Pair", "Tie points", "Before", "After"}, {}};
+  if (along) table.head.emplace_back("Along");
   for (const ReportPair& p : report.pairs) {
     const auto px = [](double v) { return fmt::format("{:.2f} px", v); };
     table.rows.push_back({p.a + " + " + p.b, std::to_string(p.ties),
-                          p.ties > 0 ? px(p.before) : "none", p.after ? px(*p.after) : "none",
-                          p.along ? px(*p.along) : "none"});
+                          p.ties > 0 ? px(p.before) : "none", p.after ? px(*p.after) : "none"});
+    if (along) table.rows.back().push_back(p.along ? px(*p.along) : "none");
   }
-  return out +
-         "<p>Medians of how far the rays of the two images miss each other across the epipolar "
-         "direction, before and after shifts; along it, against the height that all images give a "
-         "point.</p>\n" +
-         table_html(table);
+  out +=
+      "<p>Medians of how far the rays of the two images miss each other across the epipolar "
+      "direction, before and after shifts";
+  out += along ? "; along it, against the height that all images which show a point give it and "
+                 "which takes a part of it up."
+               : "." + along_of_three(report);
+  return out + "</p>\n" + table_html(table);
+}
+
+/// A command that is broken between its words only, not within a flag.
+std::string whole_words(const std::string& command) {
+  std::string out = "<span>";
+  for (const char c : escaped(command)) out += c == ' ' ? "</span> <span>" : std::string(1, c);
+  return out + "</span>";
 }
 
 std::string repeat_html(const Report& report) {
-  std::string out = "<pre>" + escaped(report.command) + "</pre>\n";
+  std::string out =
+      "<p>In the folder of this page, with the files that were read where they were:</p>\n<pre>" +
+      whole_words(report.command) + "</pre>\n";
   out +=
       "<details><summary>Settings</summary><pre>" + escaped(report.settings) + "</pre></details>\n";
   if (!report.files.rows.empty())
@@ -155,7 +206,7 @@ std::string report_html(const Report& report) {
        {"program", escaped(report.program)},
        {"style", kReportCss},
        {"script", kReportScript},
-       {"place", place_text(report)},
+       {"place", unbroken(place_text(report))},
        {"facts", facts_html(report)},
        {"warnings", warnings_html(report)},
        {"grid_note", "What is drawn is a coarse copy of the surface; dsm.tif has all of it."},

@@ -19,7 +19,6 @@ namespace satsurf::app {
 namespace {
 
 constexpr Index kMostPixels = 1200, kMostVertices = 255;  // 255 x 255 fit into 16-bit numbers
-constexpr double kChartWidth = 440;                       // px, as on a phone
 constexpr const char* kNorth =
     "<svg class=\"north\" viewBox=\"0 0 24 36\" aria-label=\"North is up\"><path d=\"M12 1 19 21 "
     "12 "
@@ -68,16 +67,23 @@ std::vector<float> known_heights(const Report& report) {
   return known;
 }
 
-/// The colours of a scale with numbers below.
-/// least_step  between two of them
-std::string legend(const ColourScale& scale, double least_step) {
-  std::string stops;
-  for (const auto& c : scale.colours)
-    stops += fmt::format("{}rgb({:.0f} {:.0f} {:.0f})", stops.empty() ? "" : ",", 255 * c[0],
-                         255 * c[1], 255 * c[2]);
-  std::string out = "<div class=\"bar\" style=\"background:linear-gradient(to right," + stops +
-                    ")\"></div>\n<div class=\"ticks\">";
-  const double span = scale.high - scale.low, step = std::max(tick_step(1.6 * span), least_step);
+std::string css_colour(const std::array<float, 3>& c) {
+  return fmt::format("rgb({:.0f} {:.0f} {:.0f})", 255 * c[0], 255 * c[1], 255 * c[2]);
+}
+
+/// The colours of a scale with numbers below; ends that stand for what lies beyond are pointed.
+std::string legend(const ColourScale& scale) {
+  std::string out = "<div class=\"legend\">", stops;
+  const auto end = [&](const char* side, const std::array<float, 3>& colour) {
+    out += fmt::format("<div class=\"end {}\" style=\"background:{}\"></div>", side,
+                       css_colour(colour));
+  };
+  if (scale.below) end("below", scale.colours.front());
+  if (scale.above) end("above", scale.colours.back());
+  for (const auto& c : scale.colours) stops += (stops.empty() ? "" : ",") + css_colour(c);
+  out += "<div class=\"bar\" style=\"background:linear-gradient(to right," + stops +
+         ")\"></div>\n<div class=\"ticks\">";
+  const double span = scale.high - scale.low, step = tick_step(1.6 * span);
   for (double v = std::ceil(scale.low / step - 1e-6) * step; v <= scale.high + 1e-6 * step;
        v += step) {
     const double at = 100 * (v - scale.low) / span;
@@ -87,91 +93,80 @@ std::string legend(const ColourScale& scale, double least_step) {
                                  : "",
                        std::abs(v) < 1e-9 * step ? 0.0 : v);
   }
+  return out + "</div></div>\n";
+}
+
+/// A box of its colour for each count, from none on, with its number below.
+std::string count_legend(const std::vector<std::array<float, 3>>& colours) {
+  std::string out = "<div class=\"counts\">";
+  for (std::size_t n = 0; n < colours.size(); ++n)
+    out += fmt::format("<div><i style=\"background:{}\"></i>{}</div>", css_colour(colours[n]), n);
   return out + "</div>\n";
 }
 
-/// A map: its picture with a scale bar and north, and what its colours mean.
+/// A map: its picture with a scale bar and north.
 struct Map {
   std::string id, title, about;  ///< `id` names it to the script
   bool drape = true;             ///< whether the surface to turn may wear it
   bool exact = false;            ///< whether it shows whole numbers, whose colours stay as they are
 };
+/// key  what its colours mean
 std::string figure(const Map& map, const Tensor& picture, double metres_per_pixel,
-                   const ColourScale* scale) {
+                   const std::string& key = {}) {
   const Index H = picture.dim(1), W = picture.dim(2);
   const double extent = metres_per_pixel * static_cast<double>(W),
                length = round_length(0.6 * extent);
   const std::string data = map.exact ? "png;base64," + base64(png_bytes(picture))
                                      : "jpeg;base64," + base64(jpeg_bytes(picture));
   std::string out = fmt::format("<figure>\n<figcaption><b>{}</b><span>{}</span></figcaption>\n",
-                                map.title, map.about);
+                                map.title, unbroken(map.about));
   out += fmt::format(
       "<div class=\"map\"><img id=\"map-{}\"{} alt=\"{}\" width=\"{}\" height=\"{}\" "
       "src=\"data:image/{}\">{}",
       map.id, map.drape ? " data-drape=\"" + map.title + "\"" : "", map.title, W, H, data, kNorth);
   out += fmt::format("<div class=\"scale\" style=\"width:{:.3f}%\">{}</div></div>\n",
                      100 * length / extent, length_text(length));
-  if (scale != nullptr) out += legend(*scale, map.exact ? 1 : 0);
-  return out + "</figure>\n";
-}
-
-std::string chart(double width, double height, const std::string& label,
-                  const std::string& content) {
-  return fmt::format(
-      "<svg class=\"chart\" viewBox=\"0 0 {:.0f} {:.0f}\" font-size=\"13\" role=\"img\" "
-      "aria-label=\"{}\">\n{}</svg>\n",
-      width, height, escaped(label), content);
-}
-
-std::string captioned(const std::string& title, const std::string& about,
-                      const std::string& content) {
-  return "<figure>\n<figcaption><b>" + title + "</b><span>" + about + "</span></figcaption>\n" +
-         content + "</figure>\n";
+  return out + key + "</figure>\n";
 }
 
 }  // namespace
-
-const char* image_colour(std::size_t number) {
-  // Okabe and Ito 2008, told apart by most people; the black one left out
-  constexpr std::array<const char*, 7> kColours{"#0072b2", "#e69f00", "#009e73", "#d55e00",
-                                                "#cc79a7", "#56b4e9", "#b8a800"};
-  return kColours[number % kColours.size()];
-}
 
 std::string map_figures(const Report& report) {
   const Index k = coarseness(report, kMostPixels);
   const double step = report.dsm.step * static_cast<double>(k);
   const Tensor z = coarser(report.dsm.z, k);
-  const ColourScale heights = height_scale(z, report.frame.h0);
   std::string out;
   if (!report.ortho.empty())
-    out += figure({"ortho", "Orthophoto", "each cell from the steepest image that sees it"},
-                  coarser(report.ortho, k), step, nullptr);
-  out += figure(
-      {"heights", "Heights", "m above the ellipsoid; 2 % of the cells lie beyond either end"},
-      height_picture(z), step, &heights);
+    out +=
+        figure({"ortho", "Orthophoto",
+                "each cell from the steepest image that sees it; stretched until 1 % of the values "
+                "are black and 1 % white"},
+               stretched_picture(coarser(report.ortho, k)), step);
+  out += figure({"heights", "Heights",
+                 "m above the ellipsoid; 2 % of the cells lie below the scale, 2 % above it, and "
+                 "have the colours of its ends"},
+                height_picture(z), step, legend(height_scale(z, report.frame.h0)));
   out += figure({"hillshade", "Hillshade", "lit from the north-west, 45&deg; high"},
-                hillshade_picture(z, step), step, nullptr);
-  if (!report.confidence.empty()) {
-    const ColourScale scale = confidence_scale();
-    out += figure({"confidence", "Confidence",
-                   "the probability that the surface is there, within half a pixel of parallax"},
-                  confidence_picture(coarser(report.confidence, k)), step, &scale);
-  }
+                hillshade_picture(z, step), step);
+  if (!report.confidence.empty())
+    out +=
+        figure({"confidence", "Confidence",
+                "the probability that the surface is there, within half a pixel of parallax"},
+               confidence_picture(coarser(report.confidence, k)), step, legend(confidence_scale()));
   if (!report.sigma.empty()) {
     const Tensor sigma = coarser(report.sigma, k);
-    const ColourScale scale = sigma_scale(sigma);
-    out += figure({"sigma", "Expected error", "m; 19 heights in 20 are within twice as much"},
-                  sigma_picture(sigma), step, &scale);
+    out += figure({"sigma", "Expected error",
+                   "m; 19 heights in 20 are within twice as much; 2 % of the cells lie above the "
+                   "scale"},
+                  sigma_picture(sigma), step, legend(sigma_scale(sigma)));
   }
   if (!report.views.empty()) {
     const auto most = static_cast<Index>(report.images.size());
-    const ColourScale scale = count_scale(most);
     Tensor views = coarser(report.views, k);
     for (float& v : views.values()) v = std::round(v);
     out +=
         figure({"views", "Coverage", "how many images see the cell; grey: no height", true, true},
-               count_picture(views, most), step, &scale);
+               count_picture(views, most), step, count_legend(count_colours(most)));
   }
   return out;
 }
@@ -241,106 +236,6 @@ std::string coverage_figure(const Report& report) {
   row("no height", without);
   return captioned("Coverage", "share of the grid by the number of images that see a cell",
                    chart(kChartWidth, y + 4, "Coverage", out));
-}
-
-std::string footprint_figure(const Report& report) {
-  constexpr double kMargin = 16;
-  const double east = report.dsm.x0 + report.frame.easting0,
-               north = report.dsm.y0 + report.frame.northing0,
-               width = report.dsm.step * static_cast<double>(report.dsm.z.dim(1)),
-               height = report.dsm.step * static_cast<double>(report.dsm.z.dim(0));
-  double x0 = east, x1 = east + width, y0 = north - height, y1 = north;
-  for (const ReportImage& image : report.images)
-    for (const auto& [x, y] : image.footprint)
-      x0 = std::min(x0, x), x1 = std::max(x1, x), y0 = std::min(y0, y), y1 = std::max(y1, y);
-  const double scale = (kChartWidth - 2 * kMargin) / std::max(x1 - x0, y1 - y0),
-               drawn = (y1 - y0) * scale;
-  const auto at_x = [&](double x) { return kChartWidth / 2 + (x - (x0 + x1) / 2) * scale; };
-  const auto at_y = [&](double y) { return kMargin + (y1 - y) * scale; };
-  std::string out = fmt::format(
-      "<rect class=\"extent\" x=\"{:.1f}\" y=\"{:.1f}\" width=\"{:.1f}\" height=\"{:.1f}\"/>\n",
-      at_x(east), at_y(north), width * scale, height * scale);
-  for (std::size_t n = 0; n < report.images.size(); ++n) {
-    std::string points;
-    double sum_x = 0, sum_y = 0;
-    const scene::Polygon& ground = report.images[n].footprint;
-    if (ground.empty()) continue;
-    for (const auto& [x, y] : ground) {
-      points += fmt::format("{:.1f},{:.1f} ", at_x(x), at_y(y));
-      sum_x += x, sum_y += y;
-    }
-    out += fmt::format("<polygon points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"2\"/>\n",
-                       points, image_colour(n));
-    // numbers stand at corners of their own, for footprints lie on one another
-    const auto count = static_cast<double>(ground.size());
-    const auto& corner = ground[n % ground.size()];
-    const double x = at_x(corner[0] + 0.06 * (sum_x / count - corner[0])),
-                 y = at_y(corner[1] + 0.06 * (sum_y / count - corner[1]));
-    out += fmt::format("<circle cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"10\" fill=\"{}\"/>\n", x, y,
-                       image_colour(n));
-    out += text_at(x, y + 4.5, "middle", std::to_string(n + 1),
-                   "style=\"fill:#ffffff;font-weight:bold\"");
-  }
-  const double below = kMargin + drawn + 26, length = round_length(0.6 * (x1 - x0)),
-               px = length * scale;
-  out += line(kMargin, below, kMargin + px, below, "none", 3, "class=\"axis\"");
-  out += text_at(kMargin + px / 2, below - 7, "middle", length_text(length));
-  const double nx = kChartWidth - kMargin - 8;
-  out += fmt::format("<path class=\"filled\" d=\"M{0:.1f} {1:.1f} l6 17 l-6 -4 l-6 4 Z\"/>\n", nx,
-                     below - 18);
-  out += text_at(nx - 12, below, "end", "N");
-  return captioned("Footprints",
-                   fmt::format("at the middle height of the surface, UTM EPSG:{}; filled: the "
-                               "surface; numbers as in the table",
-                               report.frame.zone.epsg()),
-                   chart(kChartWidth, below + 10, "Footprints of the images", out));
-}
-
-std::string sky_figure(const Report& report) {
-  constexpr double kRadius = 165, kX = kChartWidth / 2, kY = kRadius + 24;
-  const auto place = [&](double from_zenith_deg, double azimuth_deg) -> std::array<double, 2> {
-    const double r = kRadius * from_zenith_deg / 90, a = azimuth_deg * M_PI / 180;
-    return {kX + r * std::sin(a), kY - r * std::cos(a)};
-  };
-  std::string out;
-  for (const int ring : {30, 60, 90}) {
-    out += fmt::format(
-        "<circle class=\"rule\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"{:.1f}\" fill=\"none\"/>\n", kX, kY,
-        kRadius * ring / 90);
-    out += text_at(kX + 4, kY + kRadius * ring / 90 - 4, "start", fmt::format("{}°", ring),
-                   "class=\"soft\"");
-  }
-  out += line(kX - kRadius, kY, kX + kRadius, kY, "none", 1, "class=\"rule\"");
-  out += line(kX, kY - kRadius, kX, kY + kRadius, "none", 1, "class=\"rule\"");
-  out +=
-      text_at(kX, kY - kRadius - 7, "middle", "N") + text_at(kX, kY + kRadius + 17, "middle", "S");
-  out += text_at(kX + kRadius + 7, kY + 5, "start", "E") +
-         text_at(kX - kRadius - 7, kY + 5, "end", "W");
-  for (std::size_t n = 0; n < report.images.size(); ++n) {
-    const ReportImage& image = report.images[n];
-    if (!image.sun_deg) continue;
-    const auto [x, y] = place(90 - (*image.sun_deg)[0], (*image.sun_deg)[1]);
-    for (int ray = 0; ray < 8; ++ray) {
-      const double c = std::cos(ray * M_PI / 4), s = std::sin(ray * M_PI / 4);
-      out += line(x + 11 * c, y + 11 * s, x + 16 * c, y + 16 * s, image_colour(n), 2);
-    }
-    out += fmt::format(
-        "<circle cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"9\" fill=\"none\" stroke=\"{}\" "
-        "stroke-width=\"2\"/>\n",
-        x, y, image_colour(n));
-    out += text_at(x, y + 4.5, "middle", std::to_string(n + 1));
-  }
-  for (std::size_t n = 0; n < report.images.size(); ++n) {
-    const auto [x, y] = place(report.images[n].off_nadir_deg, report.images[n].azimuth_deg);
-    out += fmt::format("<circle cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"10\" fill=\"{}\"/>\n", x, y,
-                       image_colour(n));
-    out += text_at(x, y + 4.5, "middle", std::to_string(n + 1),
-                   "style=\"fill:#ffffff;font-weight:bold\"");
-  }
-  return captioned("Satellites and suns",
-                   "as the ground sees them, the zenith in the middle; filled: satellites, with "
-                   "rays: suns",
-                   chart(kChartWidth, kY + kRadius + 24, "Satellites and suns", out));
 }
 
 std::string grid_json(const Report& report) {

@@ -95,8 +95,11 @@ nlohmann::ordered_json scores_json(const mesh::MeshComparison& c) {
 }
 
 nlohmann::ordered_json scores_json(const evaluate::DsmComparison& c) {
-  return {
-      {"raw", scores_json(c.raw)}, {"registered", scores_json(c.registered)}, {"shift_m", c.shift}};
+  return {{"raw", scores_json(c.raw)},
+          {"registered", scores_json(c.registered)},
+          {"shift_m", c.shift},
+          {"refused_shift_m",
+           c.refused_shift ? nlohmann::ordered_json(*c.refused_shift) : nlohmann::ordered_json()}};
 }
 
 nlohmann::ordered_json scores_json(const std::vector<evaluate::SceneScores>& scores) {

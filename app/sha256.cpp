@@ -2,11 +2,11 @@
 #include "satsurf/app/sha256.h"
 
 #include "satsurf/core/error.h"
+#include "satsurf/core/files.h"
 
 #include <array>
 #include <fstream>
 #include <memory>
-#include <system_error>
 #include <vector>
 
 #include <openssl/evp.h>
@@ -48,10 +48,9 @@ std::string sha256(std::string_view bytes) {
 }
 
 std::string sha256_of_file(const std::filesystem::path& path) {
-  std::error_code ignored;
+  require_file(path, "a file");  // opening a pipe waits
   std::ifstream in(path, std::ios::binary);
-  if (!in.is_open() || !std::filesystem::is_regular_file(path, ignored))
-    throw IoError(path.string() + ": cannot be read, expected a file");
+  if (!in.is_open()) throw IoError(path.string() + ": cannot be read, expected a file");
   Hash hash;
   std::vector<char> piece(1 << 20);
   while (in) {

@@ -4,6 +4,7 @@
 #include "satsurf/app/products.h"
 #include "satsurf/core/files.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/reconstruct/laid_surfels.h"
 #include "satsurf/rpc/geoid.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/rpc/warp.h"
@@ -62,7 +63,8 @@ SurfaceTags surface_tags(const scene::Scene& scene, rpc::HeightDatum datum) {
   tags.views.unit = "", tags.views.description = "Number of images that see the cell";
   tags.views.type = rpc::CellType::uint8, tags.views.nodata = 255, tags.views.means = false;
   tags.ortho.unit = "";
-  tags.ortho.description = "Orthophoto: each cell from the steepest image that sees it";
+  tags.ortho.description =
+      "Orthophoto: each cell from the steepest image that sees it and is not outvoted";
   tags.ortho.type = type_for(scene);
   if (tags.ortho.type != rpc::CellType::float32)
     tags.ortho.nodata = 0;  // which most programs take for nothing anyway
@@ -103,9 +105,9 @@ std::future<void> write_surfels(const fs::path& file, const reconstruct::Reconst
   return std::async(threads() > 1 ? std::launch::async : std::launch::deferred,
                     [&made, file, comments = frame_comments(frame), most_surfels] {
                       const OnOneThread alone;
+                      const splat::Surfels laid = reconstruct::delivered_surfels(made);
                       splat::write_ply(file,
-                                       most_surfels > 0 ? splat::thinned(made.surfels, most_surfels)
-                                                        : made.surfels,
+                                       most_surfels > 0 ? splat::thinned(laid, most_surfels) : laid,
                                        comments);
                     });
 }

@@ -2,6 +2,7 @@
 #include "satsurf/app/svg.h"
 
 #include <cmath>
+#include <regex>
 
 #include <fmt/format.h>
 #include <fmt/printf.h>
@@ -32,6 +33,11 @@ std::string escaped(const std::string& text) {
   return out;
 }
 
+std::string unbroken(const std::string& text) {
+  static const std::regex kUnit("([0-9]) (m|km|px|s|min|h|%|kB|MB|GB|TB)(?![A-Za-z0-9])");
+  return std::regex_replace(text, kUnit, "$1\u00a0$2");
+}
+
 std::string text_at(double x, double y, const char* anchor, const std::string& text,
                     const std::string& more) {
   return fmt::sprintf("<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\" ", x, y, anchor) + more +
@@ -50,6 +56,20 @@ std::string line(double x0, double y0, double x1, double y1, const char* colour,
 std::string box(double x, double y, double width, double height, const char* colour) {
   return fmt::sprintf("<rect x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\" fill=\"%s\"/>\n",
                       x, y, width, height, colour);
+}
+
+std::string chart(double width, double height, const std::string& label,
+                  const std::string& content) {
+  return fmt::format(
+      "<svg class=\"chart\" viewBox=\"0 0 {:.0f} {:.0f}\" font-size=\"13\" role=\"img\" "
+      "aria-label=\"{}\">\n{}</svg>\n",
+      width, height, escaped(label), content);
+}
+
+std::string captioned(const std::string& title, const std::string& about,
+                      const std::string& content) {
+  return "<figure>\n<figcaption><b>" + title + "</b><span>" + about + "</span></figcaption>\n" +
+         content + "</figure>\n";
 }
 
 double tick_step(double high) {

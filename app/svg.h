@@ -10,6 +10,9 @@ namespace satsurf::app {
 /// Text with the marks of HTML and SVG made harmless, in attributes too.
 std::string escaped(const std::string& text);
 
+/// The same text, or HTML, with numbers kept on one line with their units.
+std::string unbroken(const std::string& text);
+
 /// One line of text.
 /// anchor  start, middle or end of it lies at x
 /// more    further attributes
@@ -21,6 +24,14 @@ std::string line(double x0, double y0, double x1, double y1, const char* colour,
                  const std::string& more = {});
 /// A filled rectangle.
 std::string box(double x, double y, double width, double height, const char* colour);
+
+/// A drawing of its own that is as wide as there is room.
+/// label  for those who do not see it
+std::string chart(double width, double height, const std::string& label,
+                  const std::string& content);
+/// A figure with its title and what it shows, which are HTML.
+std::string captioned(const std::string& title, const std::string& about,
+                      const std::string& content);
 
 /// A step of 1, 2 or 5 times a power of ten that cuts [0, high] into four to ten.
 double tick_step(double high);

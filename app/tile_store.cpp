@@ -1,15 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/tile_store.h"
 
+#include "satsurf/app/log.h"
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/files.h"
 #include "satsurf/core/safetensors.h"
+#include "satsurf/rpc/camera_check.h"
 #include "satsurf/splat/ply.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <string_view>
 #include <system_error>
@@ -39,14 +43,16 @@ std::string difference(const nlohmann::json& was, const nlohmann::json& is,
           !text.empty())
         return text;
     for (const auto& [key, value] : was.items())
-      if (!is.contains(key)) return where + "/" + key + " was " + value.dump() + " and is missing";
+      if (!is.contains(key))
+        return where + "/" + key + " was " + json_text(value) + " and is missing";
   }
   if (was.is_array() && is.is_array() && was.size() == is.size())
     for (std::size_t i = 0; i < is.size(); ++i)
       if (const std::string text = difference(was[i], is[i], where + "/" + std::to_string(i));
           !text.empty())
         return text;
-  return where + " was " + was.dump().substr(0, 200) + " and is " + is.dump().substr(0, 200);
+  return where + " was " + json_text(was).substr(0, 200) + " and is " +
+         json_text(is).substr(0, 200);
 }
 
 fs::path folder_beside(const fs::path& out) {
@@ -88,8 +94,21 @@ class Record {
       refuse(key, value, "texts");
     return value.get<std::vector<std::string>>();
   }
-  [[noreturn]] void refuse(const char* key, const nlohmann::json& came, const char* wanted) const {
-    throw IoError(file_ + ": " + key + " is " + came.dump().substr(0, 200) + ", expected " +
+  /// A number within bounds.
+  double number(const char* key, double least, double most) const {
+    const double value = number(key);
+    if (!(value >= least && value <= most))
+      refuse(key, value, fmt::format("{:g} to {:g}", least, most));
+    return value;
+  }
+  Index count(const char* key, Index least, Index most) const {
+    const Index value = count(key);
+    if (value < least || value > most) refuse(key, value, fmt::format("{} to {}", least, most));
+    return value;
+  }
+  [[noreturn]] void refuse(const char* key, const nlohmann::json& came,
+                           const std::string& wanted) const {
+    throw IoError(file_ + ": " + key + " is " + json_text(came).substr(0, 200) + ", expected " +
                   wanted + "; not the record of a tile?");
   }
 
@@ -109,11 +128,23 @@ class Record {
   nlohmann::json json_;
 };
 
+/// throws  IoError for a value of a tile's raster that is out of bounds; NaN is unknown
+void check_values(const fs::path& path, const char* name, const Tensor& values, double least,
+                  double most) {
+  for (const float v : values.values())
+    if (!std::isnan(v) && !(static_cast<double>(v) >= least && static_cast<double>(v) <= most))
+      throw IoError(fmt::format("{}: {} holds {:g}, expected {:g} to {:g} or NaN", path.string(),
+                                name, v, least, most));
+}
+
 /// Removes everything but the file that says whose folder it is.
-void empty_store(const fs::path& folder) {
+/// returns  whether there was anything
+bool empty_store(const fs::path& folder) {
+  bool any = false;
   std::error_code error;
   for (const auto& entry : fs::directory_iterator(folder, error))
-    if (entry.path().filename() != kLock) fs::remove(entry.path(), error);
+    if (entry.path().filename() != kLock && fs::remove(entry.path(), error)) any = true;
+  return any;
 }
 
 /// Removes the folder, that file last: whoever is killed on the way leaves what the next run knows.
@@ -145,8 +176,14 @@ TileStore::TileStore(const fs::path& out, bool resume, bool overwrite)
     throw IoError("out: " + folder_.string() +
                   " is being worked on by another process, expected to have it alone");
   }
-  if (!there || !resume) empty_store(folder_);
-  remove_partial_files(folder_);
+  const auto tell = [](const fs::path& left) {
+    log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
+  };
+  if (!there || !resume) {
+    if (empty_store(folder_)) tell(folder_);
+  } else {
+    for (const fs::path& left : remove_partial_files(folder_)) tell(left);
+  }
 }
 
 TileStore::~TileStore() {
@@ -157,9 +194,10 @@ TileStore::~TileStore() {
 
 void TileStore::begin(const nlohmann::json& plan) {
   const fs::path file = folder_ / kPlan;
-  if (!is_file(file)) return atomic_write(file, plan.dump(1) + '\n');
+  if (!is_file(file)) return atomic_write(file, json_text(plan, 1) + '\n');
   // as it was written, so that numbers compare as they were stored
-  const std::string text = difference(load_json_file(file), parse_json(plan.dump(), "plan"), "");
+  const std::string text =
+      difference(load_json_file(file), parse_json(json_text(plan), "plan"), "");
   if (!text.empty())
     throw ConfigError("resume: " + folder_.string() + " holds the tiles of another run: " + text +
                       ", expected the same; --overwrite without --resume begins anew");
@@ -180,21 +218,50 @@ fs::path TileStore::surfels_of(const reconstruct::Tile& tile) const {
   return folder_ / fmt::format("tile_{:04}_{:04}.ply", tile.row, tile.column);
 }
 
+void TileStore::check_surfels(const reconstruct::Tile& tile, const TileRecord& record,
+                              Index counted) const {
+  if (counted != record.surfels)
+    throw IoError(fmt::format("{}: {} surfels, expected {} as {} says", surfels_of(tile).string(),
+                              counted, record.surfels, record_of(tile).filename().string()));
+}
+
+fs::path TileStore::record_of(const reconstruct::Tile& tile) const {
+  return fs::path(file_of(tile)).replace_extension(".json");
+}
+
 std::optional<TileRecord> TileStore::find(const reconstruct::Tile& tile) const {
-  const fs::path file = folder_ / (file_of(tile).stem().string() + ".json");
+  const fs::path file = record_of(tile);
   if (!is_file(file)) return std::nullopt;
   const Record record(file);
   TileRecord out;
   out.status = record.text("status");
-  if (out.status != "done" && out.status != "empty" && out.status != "failed")
-    record.refuse("status", out.status, "done, empty or failed");
-  out.seconds = record.number("seconds");
-  out.found = record.count("found"), out.expected = record.count("expected");
-  out.window = {record.count("window_height"), record.count("window_width")};
-  out.surfels = record.count("surfels");
+  // A tile that failed is not put down.
+  if (out.status != "done" && out.status != "empty")
+    record.refuse("status", out.status, "done or empty");
+  const bool done = out.status == "done";
+  constexpr double kLongest = 1e9;                               // s
+  constexpr double kMostPixels = 1e6;                            // of a fitted camera's error
+  constexpr Index kLargest = 1 << 20, kMostSurfels = INT32_MAX;  // px a side; as many as are drawn
+  const Index cells = tile.core.height() * tile.core.width();
+  out.seconds = record.number("seconds", 0, kLongest);
+  out.expected = record.count("expected", 0, cells);  // what is found is among them
+  out.found = record.count("found", 0, out.expected);
+  const Index least = done ? 1 : 0;
+  out.window = {record.count("window_height", least, kLargest),
+                record.count("window_width", least, kLargest)};
+  out.surfels = record.count("surfels", 0, done ? kMostSurfels : 0);
   out.z_range = record.range("z_range");
-  out.camera_fit_max_px = record.number("camera_fit_max_px");
+  if (done && !(out.z_range.has_span() && rpc::on_earth(out.z_range)))
+    record.refuse("z_range", {out.z_range.low, out.z_range.high},
+                  "lowest and highest, at most 1000 km either way");
+  out.camera_fit_max_px = record.number("camera_fit_max_px", 0, kMostPixels);
   out.views = record.texts("views");
+  if (done && out.views.size() < 2)
+    record.refuse("views", out.views, "names of two images or more");
+  if (done != is_file(file_of(tile)))
+    record.refuse("status", out.status, done ? "rasters beside it" : "no rasters beside it");
+  if ((out.surfels > 0) != is_file(surfels_of(tile)))
+    record.refuse("surfels", out.surfels, "as many as the file beside it holds");
   return out;
 }
 
@@ -220,7 +287,7 @@ void TileStore::save(const reconstruct::Tile& tile, const TileRecord& record,
                          {"z_range", {record.z_range.low, record.z_range.high}},
                          {"camera_fit_max_px", record.camera_fit_max_px},
                          {"views", record.views}};
-  atomic_write(folder_ / (file_of(tile).stem().string() + ".json"), j.dump() + '\n');
+  atomic_write(record_of(tile), json_text(j) + '\n');
 }
 
 reconstruct::TileSurface TileStore::load(const reconstruct::Tile& tile) const {
@@ -247,9 +314,16 @@ reconstruct::TileSurface TileStore::load(const reconstruct::Tile& tile) const {
                   Shape{cells.height(), cells.width()}.str() + " of this tile");
   };
   check("heights", out.heights, tile.all), check("confidence", out.confidence, tile.all);
-  check("views", out.views, tile.core);
+  check("views", out.views, tile.all);
   if (!out.sigma.empty()) check("sigma", out.sigma, tile.all);
-  if (!out.ortho.empty()) check("ortho", out.ortho, tile.core);
+  if (!out.ortho.empty()) check("ortho", out.ortho, tile.all);
+  constexpr double kMostHeight = 1e6, kMostImages = 1e6, kRounding = 1e-3;  // m
+  check_values(path, "heights", out.heights, -kMostHeight, kMostHeight);
+  check_values(path, "confidence", out.confidence, 0, 1 + kRounding);
+  check_values(path, "views", out.views, 0, kMostImages);
+  check_values(path, "sigma", out.sigma, 0, kMostHeight);
+  constexpr double kMostFloat = std::numeric_limits<float>::max();
+  check_values(path, "ortho", out.ortho, -kMostFloat, kMostFloat);
   return out;
 }
 

@@ -14,7 +14,7 @@ namespace satsurf::app {
 
 /// What is known of a tile besides its surface.
 struct TileRecord {
-  std::string status = "empty";  ///< done, empty or failed
+  std::string status = "empty";  ///< done, empty or failed, which is not put down
   double seconds = 0;
   Index found = 0, expected = 0, surfels = 0;
   scene::WindowSize window;  ///< px
@@ -43,16 +43,20 @@ class TileStore {
   /// Whether any tile is finished.
   bool any() const;
   /// What became of a tile; nothing while it is not finished.
+  /// throws  IoError for a record that says what no tile can be
   std::optional<TileRecord> find(const reconstruct::Tile& tile) const;
   /// Puts a finished tile down; the surfels go into a file of their own.
   /// throws  IoError
   void save(const reconstruct::Tile& tile, const TileRecord& record,
             const reconstruct::TileSurface& surface);
   /// The rasters of a tile that is done.
-  /// throws  IoError
+  /// throws  IoError, also for other cells than the tile's and for values that are none of a surface
   reconstruct::TileSurface load(const reconstruct::Tile& tile) const;
   /// The file of its surfels.
   std::filesystem::path surfels_of(const reconstruct::Tile& tile) const;
+  /// counted  surfels of that file
+  /// throws   IoError unless they are as many as its record says
+  void check_surfels(const reconstruct::Tile& tile, const TileRecord& record, Index counted) const;
   /// Removes everything: the tiles have become a surface.
   void remove();
 
@@ -60,6 +64,7 @@ class TileStore {
 
  private:
   std::filesystem::path file_of(const reconstruct::Tile& tile) const;
+  std::filesystem::path record_of(const reconstruct::Tile& tile) const;
 
   std::filesystem::path folder_;
   int lock_ = -1;

@@ -81,6 +81,22 @@ void leave_out(Tensor& values, Index y0, const reconstruct::Grid& grid,
   }
 }
 
+/// How many images see the cells of a tile, then what they show there, [1 + bands h w].
+Tensor counts_and_colours_of(const reconstruct::TileSurface& tile, Index bands) {
+  Tensor out({1 + bands, tile.views.dim(0), tile.views.dim(1)}, kNan);
+  std::ranges::copy(tile.views.values(), out.data());
+  if (!tile.ortho.empty()) std::ranges::copy(tile.ortho.values(), out.data() + tile.views.count());
+  return out;
+}
+
+/// Some of the planes of [C H W].
+Tensor planes_of(const Tensor& values, Index first, Index count) {
+  const Index H = values.dim(1), W = values.dim(2);
+  auto out = Tensor::uninitialised({count, H, W});
+  std::copy_n(values.data() + first * H * W, out.count(), out.data());
+  return out;
+}
+
 /// Where the rows of a grid from y0 on lie.
 rpc::GeoGrid geo_rows(const reconstruct::Grid& grid, const rpc::LocalFrame& frame, Index y0) {
   return {frame.zone.epsg(), grid.east + frame.easting0,
@@ -181,7 +197,7 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
              ortho = growing("ortho.tif", bands, tags.ortho);
   std::unique_ptr<rpc::GeoRasterRows> sigma;
   reconstruct::FeatheredRows heights(tiling), sure(tiling), expected(tiling);
-  reconstruct::OwnedRows counts(tiling, 1), pictures(tiling, bands);
+  reconstruct::OwnedRows seen(tiling, 1 + bands);
   Overview small(grid.height, grid.width), small_confidence(grid.height, grid.width);
   TiledSurface out;
   out.heights = {INFINITY, -INFINITY};
@@ -200,8 +216,9 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
       leave_out(t, done_rows, grid, frame, polygons);
       return t;
     };
-    views->append(finished(counts));
-    Tensor picture = finished(pictures);
+    const Tensor counts_and_colours = finished(seen);
+    views->append(planes_of(counts_and_colours, 0, 1));
+    Tensor picture = planes_of(counts_and_colours, 1, bands);
     keep_off_nodata(picture, tags.ortho);
     ortho->append(picture);
     Tensor z = finished(heights);
@@ -235,8 +252,7 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
     heights.add(tile, part.heights);
     sure.add(tile, part.confidence);
     if (has_sigma) expected.add(tile, part.sigma);
-    counts.add(tile, part.views.reshaped({1, tile.core.height(), tile.core.width()}));
-    if (!part.ortho.empty()) pictures.add(tile, part.ortho);
+    seen.add(tile, counts_and_colours_of(part, bands));
     if (record.surfels > 0) surfels.push_back(store.surfels_of(tile));
   }
   if (done_rows < grid.height) write_rows(grid.height);
@@ -245,7 +261,11 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
     raster->finish();
   }
   if (sigma) sigma->finish();
-  splat::join_ply(folder / "surfels.ply", surfels, frame_comments(frame));
+  const std::vector<Index> counted =
+      splat::join_ply(folder / "surfels.ply", surfels, frame_comments(frame));
+  for (std::size_t n = 0, k = 0; n < order.size(); ++n)
+    if (const TileRecord& record = records[order[n]]; record.surfels > 0)
+      store.check_surfels(tiling.tiles[order[n]], record, counted[k++]);
   out.dsm = {small.means(), grid.east, grid.north, grid.step * static_cast<double>(small.block())};
   out.confidence = small_confidence.means();
   out.mean_confidence = known > 0 ? confidence_sum / known : 0;

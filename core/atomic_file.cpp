@@ -66,7 +66,10 @@ int write_all(int fd, std::string_view bytes) {
 /// returns  0, or the error's number
 int write_pieces(int fd, const std::function<std::string_view()>& next) {
   constexpr std::size_t kTogether = std::size_t{1} << 20;  // bytes
+  // What waits for the disk: gigabytes would keep whoever wants to stop waiting as well.
+  constexpr std::size_t kMostUnflushed = std::size_t{64} << 20;
   std::string small;
+  std::size_t unflushed = 0;
   for (std::string_view piece = next(); !piece.empty(); piece = next()) {
     if (small.size() + piece.size() > kTogether) {
       if (const int code = write_all(fd, small)) return code;
@@ -76,6 +79,10 @@ int write_pieces(int fd, const std::function<std::string_view()>& next) {
       small += piece;
     else if (const int code = write_all(fd, piece))
       return code;
+    unflushed += piece.size();
+    if (unflushed < kMostUnflushed) continue;
+    if (::fdatasync(fd) != 0) return errno;
+    unflushed = 0;
   }
   return write_all(fd, small);
 }

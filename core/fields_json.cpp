@@ -7,14 +7,18 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <set>
+#include <utility>
+#include <vector>
 
 namespace satsurf {
 namespace {
 
 using nlohmann::json;
 
-constexpr int kMostNesting = 64;  // deeper than any file of ours; a document of brackets is refused
+constexpr std::size_t kMostNesting =
+    64;  // deeper than any file of ours; a document of brackets is refused
+constexpr std::size_t kMostValues =
+    2'000'000;  // of some 160 bytes each, which may have 3 in the file
 
 /// `line 3, column 5` of a byte counted from 1, as the parser counts.
 std::string position(std::string_view text, std::size_t byte) {
@@ -34,6 +38,65 @@ std::string reason(const std::string& what) {
   return colon == std::string::npos ? what : what.substr(colon + 2);
 }
 
+/// Builds a document from the parser's events. The parser's own filter, which could refuse as well, looks
+/// through a container again after each value in it.
+class Builder {
+ public:
+  Builder(json& document, const std::string& where) : document_(document), where_(where) {}
+
+  bool null() { return add(nullptr); }
+  bool boolean(bool value) { return add(value); }
+  bool number_integer(json::number_integer_t value) { return add(value); }
+  bool number_unsigned(json::number_unsigned_t value) { return add(value); }
+  bool number_float(json::number_float_t value, const std::string&) { return add(value); }
+  bool string(std::string& value) { return add(std::move(value)); }
+  bool binary(json::binary_t& value) { return add(std::move(value)); }
+  bool start_object(std::size_t) { return open(json::object()); }
+  bool start_array(std::size_t) { return open(json::array()); }
+  bool end_object() { return close(); }
+  bool end_array() { return close(); }
+  bool key(std::string& name) {
+    const auto [at, is_new] = open_.back()->get_ref<json::object_t&>().try_emplace(std::move(name));
+    if (!is_new) throw IoError(where_ + ": key " + json(at->first).dump() + " appears twice");
+    of_key_ = &at->second;
+    return true;
+  }
+  template <class E>
+  bool parse_error(std::size_t, const std::string&, const E& error) {
+    throw error;
+  }
+
+ private:
+  json& place(json&& value) {
+    if (++count_ > kMostValues)
+      throw IoError(where_ + ": more than " + std::to_string(kMostValues) +
+                    " values, expected fewer");
+    if (open_.empty()) return document_ = std::move(value);
+    if (open_.back()->is_array()) return open_.back()->emplace_back(std::move(value));
+    return *of_key_ = std::move(value);
+  }
+  bool add(json&& value) {
+    place(std::move(value));
+    return true;
+  }
+  bool open(json&& container) {
+    if (open_.size() == kMostNesting)
+      throw IoError(where_ + ": nested deeper than " + std::to_string(kMostNesting) + " levels");
+    open_.push_back(&place(std::move(container)));
+    return true;
+  }
+  bool close() {
+    open_.pop_back();
+    return true;
+  }
+
+  json& document_;
+  const std::string& where_;
+  std::vector<json*> open_;  // containers, the innermost last: only that one grows
+  json* of_key_ = nullptr;
+  std::size_t count_ = 0;
+};
+
 bool kind_matches(FieldRef::Kind kind, const json& value) {
   switch (kind) {
     case FieldRef::Kind::boolean:
@@ -52,7 +115,7 @@ std::string element_text(const json& value) {
 }
 
 void assign(const FieldRef& field, const json& value, const std::string& where) {
-  const std::string shown = value.dump(-1, ' ', false, json::error_handler_t::replace);
+  const std::string shown = json_text(value);
   std::vector<std::string> elements;
   if (field.is_list() != value.is_array()) detail::refuse_value(field, shown, where);
   const auto add = [&](const json& element) {
@@ -143,19 +206,11 @@ struct ToJson {
 }  // namespace
 
 json parse_json(std::string_view text, const std::string& where) {
-  std::vector<std::set<std::string>> keys;  // seen so far, one set per open object or array
-  const auto check = [&](int depth, json::parse_event_t event, json& parsed) {
-    using Event = json::parse_event_t;
-    if (depth > kMostNesting)
-      throw IoError(where + ": nested deeper than " + std::to_string(kMostNesting) + " levels");
-    if (event == Event::object_start || event == Event::array_start) keys.emplace_back();
-    if (event == Event::object_end || event == Event::array_end) keys.pop_back();
-    if (event == Event::key && !keys.back().insert(parsed.get<std::string>()).second)
-      throw IoError(where + ": key " + parsed.dump() + " appears twice");
-    return true;
-  };
+  json document;
+  Builder builder(document, where);
   try {
-    return json::parse(text.begin(), text.end(), check);
+    json::sax_parse(text.begin(), text.end(), &builder);
+    return document;
   } catch (const json::parse_error& e) {
     const std::string why = reason(e.what());
     const bool literal = why.find("invalid literal") != std::string::npos;
@@ -170,11 +225,16 @@ json load_json_file(const std::filesystem::path& path) {
   return parse_json(read_text_file(path, "a JSON file"), path.string());
 }
 
+std::string json_text(const json& value, int indent) {
+  return value.dump(indent, ' ', false, json::error_handler_t::replace);
+}
+
 json detail::refs_to_json(const std::vector<FieldRef>& fields) {
   json root = json::object();
   for (const FieldRef& f : fields) {
     json value = std::visit(ToJson{f.name, f.meta.choices}, f.target);
     if (value.is_null()) continue;  // an optional pair without a value
+    if (f.kind() == FieldRef::Kind::text) value = json::parse(json_text(value));
     json* at = &root;
     std::size_t begin = 0;
     for (std::size_t dot; (dot = f.name.find('.', begin)) != std::string::npos; begin = dot + 1)

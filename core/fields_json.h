@@ -12,8 +12,9 @@
 
 namespace satsurf {
 
-/// Parses one JSON document, as everything here that reads JSON does; stricter than the standard: a repeated key is an error, and so is
-/// nesting deeper than 64.
+/// Parses one JSON document, as everything here that reads JSON does, in time linear in its length;
+/// stricter than the standard: a repeated key is an error, and so are nesting deeper than 64 and more
+/// than 2,000,000 values; headers, records and views have thousands.
 /// text    the document
 /// where   begins the error text
 /// throws  IoError `where: line 3, column 5: ...`
@@ -22,13 +23,17 @@ nlohmann::json parse_json(std::string_view text, const std::string& where);
 /// throws  IoError that names the file, and the line where it is malformed; for one larger than 64 MiB
 nlohmann::json load_json_file(const std::filesystem::path& path);
 
+/// A document as text. Names of files are bytes of any kind: those that are no UTF-8 become U+FFFD.
+/// indent  blanks a level; all in one line below 0
+std::string json_text(const nlohmann::json& value, int indent = -1);
+
 namespace detail {
 nlohmann::json refs_to_json(const std::vector<FieldRef>& fields);
 void refs_from_json(const nlohmann::json& json, const std::vector<FieldRef>& fields,
                     const std::string& where);
 }  // namespace detail
 
-/// The fields as nested objects, in alphabetical order of their names.
+/// The fields as nested objects, in alphabetical order of their names; texts as `json_text` has them.
 /// throws  ConfigError for NaN and infinities, which JSON cannot hold
 template <HasFields S>
 nlohmann::json to_json(const S& s) {

@@ -4,6 +4,7 @@
 #include "satsurf/core/error.h"
 
 #include <algorithm>
+#include <cctype>
 #include <fstream>
 #include <system_error>
 
@@ -68,6 +69,32 @@ void require_file(const fs::path& path, const std::string& wanted) {
     throw IoError(path.string() + ": cannot be found (" + error.message() + "), expected " +
                   wanted);
   throw IoError(path.string() + ": is " + kind_text(type) + ", expected " + wanted);
+}
+
+std::vector<std::string> names_beside(const fs::path& path) {
+  const std::string stem = path.stem().string();
+  const auto is_companion = [&](const std::string& name) {  // IMAGE.tif.ovr, image_rpc.txt
+    const auto alike = [](unsigned char a, unsigned char b) {
+      return std::tolower(a) == std::tolower(b);
+    };
+    return name.size() > stem.size() && std::equal(stem.begin(), stem.end(), name.begin(), alike) &&
+           std::isalnum(static_cast<unsigned char>(name[stem.size()])) == 0;
+  };
+  std::vector<std::string> names;
+  const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
+  std::error_code error;
+  for (fs::directory_iterator at(folder, error), end; !error && at != end; at.increment(error)) {
+    std::error_code unknown;
+    const fs::file_type type = at->status(unknown).type();
+    const std::string name = at->path().filename().string();
+    if (type == fs::file_type::regular || type == fs::file_type::directory)
+      names.push_back(name);
+    else if (type != fs::file_type::not_found && !unknown && is_companion(name))
+      throw IoError((path.parent_path() / name).string() + ": is " + kind_text(type) +
+                    ", expected a file or nothing under this name beside " + path.string());
+  }
+  std::sort(names.begin(), names.end());
+  return names;
 }
 
 std::string read_text_file(const fs::path& path, const std::string& wanted) {

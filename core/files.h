@@ -31,6 +31,12 @@ std::vector<std::filesystem::path> entries_of(const std::filesystem::path& folde
 /// throws  IoError `path: no such file, expected WANTED`, or what it is instead of a file
 void require_file(const std::filesystem::path& path, const std::string& wanted);
 
+/// What lies beside a file, for libraries that look for companions of it (cameras, masks, overviews)
+/// and would wait for a pipe's writer: the names of files and folders. Nothing for a folder that may
+/// not be listed.
+/// throws  IoError for a pipe, socket or device named as the file is but for what follows its stem
+std::vector<std::string> names_beside(const std::filesystem::path& path);
+
 constexpr std::uintmax_t kMostText = 64u
                                      << 20;  ///< bytes; cameras with key points have some 100 kB
 

@@ -4,6 +4,7 @@
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/fields_json.h"
+#include "satsurf/core/files.h"
 
 #include <algorithm>
 #include <array>
@@ -44,7 +45,10 @@ struct Entry {
 /// One line of complaint about one file.
 class Reader {
  public:
-  explicit Reader(const std::filesystem::path& path) : path_(path), in_(path, std::ios::binary) {}
+  explicit Reader(const std::filesystem::path& path) : path_(path) {
+    require_file(path, "a safetensors file");  // opening a pipe waits
+    in_.open(path, std::ios::binary);
+  }
 
   TensorFile load();
 
@@ -67,9 +71,7 @@ class Reader {
 };
 
 json Reader::read_header() {
-  std::error_code ec;
-  const bool regular = std::filesystem::is_regular_file(path_, ec);
-  if (!regular || !in_.is_open()) fail("cannot be read, expected a safetensors file");
+  if (!in_.is_open()) fail("cannot be read, expected a safetensors file");
   const std::uint64_t bytes = std::filesystem::file_size(path_);
   if (bytes < kLengthBytes)
     fail("the file has " + std::to_string(bytes) + " bytes, expected at least 8" + kDamaged);

@@ -7,6 +7,7 @@
 #include "satsurf/evaluate/fill.h"
 #include "satsurf/evaluate/score_views.h"
 #include "satsurf/mesh/surface.h"
+#include "satsurf/reconstruct/laid_surfels.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
 #include "satsurf/rpc/raster.h"
@@ -157,11 +158,12 @@ DsmPair load_dsm_pair(const std::filesystem::path& prediction, const std::filesy
     throw IoError(text + ", expected one system for both; gdalwarp brings one into the other");
   }
   const double east = std::round(known.grid.x0), north = std::round(known.grid.y0);
-  const auto field = [&](const rpc::GeoRaster& r) {
+  const auto field = [&](const std::filesystem::path& file, const rpc::GeoRaster& r) {
     const Tensor z = r.values.rank() == 3 ? r.values.slice0(0) : r.values;
+    rpc::require_heights(file, z);
     return scene::HeightField{z, r.grid.x0 - east, r.grid.y0 - north, r.grid.step};
   };
-  DsmPair pair{field(found), field(known), std::nullopt};
+  DsmPair pair{field(prediction, found), field(truth, known), std::nullopt};
   const int epsg = b != 0 ? b : a, number = epsg % 100;
   if ((epsg / 100 == 326 || epsg / 100 == 327) && number >= 1 && number <= 60)
     pair.frame = rpc::LocalFrame{{number, epsg / 100 == 326}, east, north, 0};
@@ -205,7 +207,8 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
     out.mesh =
         compare_surfaces(made.surfels, *scene.truth, images, mask, out.dsm.shift, made.voxel);
   }
-  score_views(model, scene, options, sources, made.surfels, out, confidence);
+  score_views(model, scene, options, sources, reconstruct::delivered_surfels(made), out,
+              confidence);
   return out;
 }
 

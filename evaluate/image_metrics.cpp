@@ -11,7 +11,9 @@
 namespace satsurf::evaluate {
 namespace {
 
+/// Values within 0 and 1; pictures of whole numbers have no others.
 Tensor clipped(const Tensor& image) {
+  if (std::ranges::all_of(image.values(), [](float v) { return v >= 0 && v <= 1; })) return image;
   Tensor out = image.clone();
   for (float& v : out.values()) v = std::clamp(v, 0.f, 1.f);
   return out;
@@ -50,10 +52,8 @@ ImageScores score_images(const Tensor& image, const Tensor& reference, const Ten
   ImageScores scores;
   scores.psnr = psnr(a, b, mask);
   scores.psnr_fitted = psnr(fit_colours(a, b, mask), b, mask);
-  const BasicVar<double> x(a.cast<double>());
-  const auto y = b.cast<double>(), counts = mask.cast<double>();
   const auto similarity = [&](SsimKind kind, Index border) {
-    return any_counts(mask, H, W, border) ? ssim(x, y, kind, counts).value().item()
+    return any_counts(mask, H, W, border) ? ssim_score(a, b, kind, mask)
                                           : std::numeric_limits<double>::quiet_NaN();
   };
   constexpr Index kBorder = 5;  // what SsimKind::skimage leaves out

@@ -7,6 +7,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <utility>
 #include <vector>
 
 #include <Eigen/QR>
@@ -29,16 +31,37 @@ double median_of(std::vector<double>& values) {
 bool counts(const Tensor& mask, Index i) { return mask.empty() || mask[i] != 0; }
 
 /// Signed errors of the cells that have both heights.
-std::vector<double> errors_of(const Tensor& prediction, const Tensor& truth, const Tensor& mask) {
+/// wanted  of a cell's index, whether it counts
+template <class F>
+std::vector<double> errors_where(const Tensor& prediction, const Tensor& truth, const F& wanted) {
+  const auto compared = [&](Index i) {
+    return wanted(i) && std::isfinite(truth[i]) && std::isfinite(prediction[i]);
+  };
+  std::size_t number = 0;
+  for (Index i = 0; i < truth.count(); ++i) number += compared(i);
   std::vector<double> errors;
+  errors.reserve(number);  // growing would take twice as much
   for (Index i = 0; i < truth.count(); ++i)
-    if (counts(mask, i) && std::isfinite(truth[i]) && std::isfinite(prediction[i]))
+    if (compared(i))
       errors.push_back(static_cast<double>(prediction[i]) - static_cast<double>(truth[i]));
   return errors;
 }
+std::vector<double> errors_of(const Tensor& prediction, const Tensor& truth, const Tensor& mask) {
+  return errors_where(prediction, truth, [&](Index i) { return counts(mask, i); });
+}
+
+/// Heights less an offset that they have in common, which is taken out where they are read: another
+/// copy of them would be.
+struct Centred {
+  Tensor z;
+  float offset = 0;
+
+  float at(Index i) const { return z[i] - offset; }
+};
 
 /// Half the resolution: mean of the known cells of each 2 x 2 block, NaN where none is known.
-Tensor halve(const Tensor& z) {
+Centred halve(const Centred& from) {
+  const Tensor& z = from.z;
   const Index H = (z.dim(0) + 1) / 2, W = (z.dim(1) + 1) / 2;
   auto out = Tensor::uninitialised({H, W});
   for (Index i = 0; i < H; ++i)
@@ -46,10 +69,10 @@ Tensor halve(const Tensor& z) {
       float sum = 0, n = 0;
       for (Index r = 2 * i; r < std::min(2 * i + 2, z.dim(0)); ++r)
         for (Index c = 2 * j; c < std::min(2 * j + 2, z.dim(1)); ++c)
-          if (const float v = z[r * z.dim(1) + c]; std::isfinite(v)) sum += v, n += 1;
+          if (const float v = from.at(r * z.dim(1) + c); std::isfinite(v)) sum += v, n += 1;
       out[i * W + j] = n > 0 ? sum / n : std::numeric_limits<float>::quiet_NaN();
     }
-  return out;
+  return {out};
 }
 
 struct Correlation {
@@ -59,13 +82,13 @@ struct Correlation {
 
 /// Normalised correlation of truth (i + di, j + dj) with prediction (i, j) over the cells both
 /// know.
-Correlation correlate(const Tensor& prediction, const Tensor& truth, Index di, Index dj) {
-  const Index H = truth.dim(0), W = truth.dim(1);
+Correlation correlate(const Centred& prediction, const Centred& truth, Index di, Index dj) {
+  const Index H = truth.z.dim(0), W = truth.z.dim(1);
   double n = 0, sp = 0, st = 0, spp = 0, stt = 0, spt = 0;
   for (Index i = std::max<Index>(0, -di); i < std::min(H, H - di); ++i)
     for (Index j = std::max<Index>(0, -dj); j < std::min(W, W - dj); ++j) {
-      const double p = static_cast<double>(prediction[i * W + j]);
-      const double t = static_cast<double>(truth[(i + di) * W + j + dj]);
+      const double p = static_cast<double>(prediction.at(i * W + j));
+      const double t = static_cast<double>(truth.at((i + di) * W + j + dj));
       if (!std::isfinite(p) || !std::isfinite(t)) continue;
       n += 1, sp += p, st += t, spp += p * p, stt += t * t, spt += p * t;
     }
@@ -76,30 +99,33 @@ Correlation correlate(const Tensor& prediction, const Tensor& truth, Index di, I
 }
 
 /// Takes a common offset out, so that the sums of squares above keep their digits.
-Tensor centred(const Tensor& z) {
+Centred centred(const Tensor& z) {
   double sum = 0, n = 0;
   for (const float v : z.values())
     if (std::isfinite(v)) sum += static_cast<double>(v), n += 1;
-  Tensor out = z.clone();
-  for (float& v : out.values()) v -= static_cast<float>(n > 0 ? sum / n : 0);
-  return out;
+  return {z, static_cast<float>(n > 0 ? sum / n : 0)};
 }
 
 /// Whole cells (rows, columns) by which the prediction has to move to agree best with the truth.
-std::array<Index, 2> find_shift(const Tensor& prediction, const Tensor& truth) {
+/// farthest  that it may move along either, cells
+std::array<Index, 2> find_shift(const Tensor& prediction, const Tensor& truth, Index farthest) {
   constexpr Index kRadius = 5, kSide = 2 * kRadius + 1, kSmall = 100;
-  std::vector<std::array<Tensor, 2>> levels{{centred(prediction), centred(truth)}};
-  while (std::min(levels.back()[0].dim(0), levels.back()[0].dim(1)) >= kSmall)
+  std::vector<std::array<Centred, 2>> levels{{centred(prediction), centred(truth)}};
+  while (std::min(levels.back()[0].z.dim(0), levels.back()[0].z.dim(1)) >= kSmall)
     levels.push_back({halve(levels.back()[0]), halve(levels.back()[1])});
 
   std::array<Index, 2> best{0, 0};
   for (auto level = levels.rbegin(); level != levels.rend(); ++level) {
     const auto& [p, t] = *level;
-    const std::array<Index, 2> around{2 * best[0], 2 * best[1]};
+    const Index cell = Index{1} << (levels.rend() - level - 1);  // in cells of the finest level
+    const Index most_cells = (farthest + cell - 1) / cell;
+    const auto near = [&](Index shift) { return std::clamp(shift, -most_cells, most_cells); };
+    const std::array<Index, 2> around{near(2 * best[0]), near(2 * best[1])};
     std::vector<Correlation> found(kSide * kSide);
     for_each_index(kSide * kSide, [&](Index k) {
-      found[static_cast<std::size_t>(k)] =
-          correlate(p, t, around[0] + k / kSide - kRadius, around[1] + k % kSide - kRadius);
+      const Index di = around[0] + k / kSide - kRadius, dj = around[1] + k % kSide - kRadius;
+      if (near(di) == di && near(dj) == dj)
+        found[static_cast<std::size_t>(k)] = correlate(p, t, di, dj);
     });
     Index most = 0;
     for (const Correlation& c : found) most = std::max(most, c.cells);
@@ -113,6 +139,17 @@ std::array<Index, 2> find_shift(const Tensor& prediction, const Tensor& truth) {
     best = {around[0] + winner / kSide - kRadius, around[1] + winner % kSide - kRadius};
   }
   return best;
+}
+
+/// Mean distance of a prediction's errors from their median, m, where another prediction is known
+/// too: what is left of them when one offset is taken out. NaN where there are none.
+double left_without_offset(const Tensor& prediction, const Tensor& other, const Tensor& truth) {
+  std::vector<double> errors =
+      errors_where(prediction, truth, [&](Index i) { return std::isfinite(other[i]); });
+  const double median = median_of(errors);
+  double sum = 0;
+  for (const double e : errors) sum += std::abs(e - median);
+  return sum / static_cast<double>(errors.size());
 }
 
 }  // namespace
@@ -227,6 +264,13 @@ Tensor resample(const scene::HeightField& field, const scene::HeightField& grid)
   return out;
 }
 
+bool like_geoid(double offset, const std::optional<double>& geoid_height) {
+  // m: geoids differ by 1 m or so, and surfaces have biases; what hardly any other fault comes to
+  constexpr double kAlike = 4, kLarge = 15;
+  if (!geoid_height) return std::abs(offset) >= kLarge;
+  return std::abs(std::abs(offset) - std::abs(*geoid_height)) <= kAlike;
+}
+
 DsmComparison compare_dsm(const scene::HeightField& prediction, const scene::HeightField& truth,
                           Registration registration, const Tensor& mask, bool must_meet) {
   Tensor expected = truth.z;
@@ -241,22 +285,32 @@ DsmComparison compare_dsm(const scene::HeightField& prediction, const scene::Hei
   Tensor z = resample(prediction, truth);
   out.raw = score_heights(z, expected);
   if (registration == Registration::xyz) {
-    const auto [di, dj] = find_shift(z, expected);
-    scene::HeightField moved = prediction;
-    out.shift[0] = static_cast<double>(dj) * truth.step;
-    out.shift[1] = -static_cast<double>(di) * truth.step;
-    moved.x0 += out.shift[0], moved.y0 += out.shift[1];
-    z = resample(moved, truth);
+    const auto farthest =
+        static_cast<Index>(std::max(1.0, std::floor(kFarthestShift / truth.step)));
+    const auto [di, dj] = find_shift(z, expected, farthest);
+    const std::array<double, 2> shift{static_cast<double>(dj) * truth.step,
+                                      -static_cast<double>(di) * truth.step};
+    if (di != 0 || dj != 0) {
+      scene::HeightField moved = prediction;
+      moved.x0 += shift[0], moved.y0 += shift[1];
+      Tensor there = resample(moved, truth);
+      // A shift that moves bad cells off the truth correlates better and helps nobody.
+      if (left_without_offset(z, there, expected) <= left_without_offset(there, z, expected))
+        out.refused_shift = shift;
+      else
+        z = std::move(there), out.shift = {shift[0], shift[1], 0};
+    }
   }
-  std::vector<double> errors = errors_of(z, expected, {});
-  if (errors.empty() && must_meet)
-    throw Error(
-        "compare_dsm: no cell with both a predicted and a true height, expected overlapping "
-        "surfaces");
-  if (registration != Registration::none && !errors.empty()) {
-    out.shift[2] = -median_of(errors);
-    z = z.clone();
-    for (float& v : z.values()) v += static_cast<float>(out.shift[2]);
+  {
+    std::vector<double> errors = errors_of(z, expected, {});
+    if (errors.empty() && must_meet)
+      throw Error(
+          "compare_dsm: no cell with both a predicted and a true height, expected overlapping "
+          "surfaces");
+    if (registration != Registration::none && !errors.empty()) {
+      out.shift[2] = -median_of(errors);
+      for (float& v : z.values()) v += static_cast<float>(out.shift[2]);
+    }
   }
   out.registered = score_heights(z, expected);
   out.surface = z;

@@ -5,6 +5,7 @@
 #include "satsurf/scene/raycast.h"
 
 #include <array>
+#include <optional>
 
 namespace satsurf::evaluate {
 
@@ -46,6 +47,11 @@ HeightScores score_heights(const Tensor& prediction, const Tensor& truth, const 
 /// else the nearest cell. NaN stays NaN.
 Tensor resample(const scene::HeightField& field, const scene::HeightField& grid);
 
+/// Whether heights that differ nearly everywhere are likely above an ellipsoid here and a geoid there.
+/// offset        of all heights, m
+/// geoid_height  of the geoid above the ellipsoid, m; nothing where it is not known
+bool like_geoid(double offset, const std::optional<double>& geoid_height);
+
 /// What may be taken out of a prediction before it is scored: nothing, one height offset (the
 /// median of the errors), or also a horizontal shift.
 enum class Registration { none, z, xyz };
@@ -64,9 +70,15 @@ struct DsmComparison {
   HeightScores raw;
   HeightScores registered;
   std::array<double, 3> shift{0, 0, 0};  ///< added to the prediction: east, north, up, m
-  Tensor surface;                        ///< [H W] registered prediction, NaN where unknown
-  Tensor error;  ///< [H W] registered prediction - truth, NaN where not compared
+  /// East and north, m, of a shift that was found and not taken.
+  std::optional<std::array<double, 2>> refused_shift;
+  Tensor surface;  ///< [H W] registered prediction, NaN where unknown
+  Tensor error;    ///< [H W] registered prediction - truth, NaN where not compared
 };
+
+/// Farthest east and north that a registration moves a surface, m: without ground control cameras of
+/// satellites are off by some 5 m, and a surface further off has other faults.
+inline constexpr double kFarthestShift = 15;
 
 /// Resamples the prediction to the truth's grid, registers it as asked and scores it before and
 /// after.
@@ -74,7 +86,10 @@ struct DsmComparison {
 ///        neither here nor in the scores
 ///   xyz  first a horizontal shift by whole truth cells that maximises the normalised correlation
 ///        of the heights, searched coarse to fine (halved until a side is below 100 cells, 5 cells
-///        around the best of the level above), then the median difference
+///        around the best of the level above) up to `kFarthestShift`, of cells larger than that by
+///        one of them; then the median difference. Where the shift does not lower the mean distance
+///        of the errors from their median, over the cells known with it and without, it is refused:
+///        it is never worse than z
 /// prediction, truth  in one local frame
 /// registration       what is taken out
 /// mask               [H W] on the truth's grid, zero where a cell does not count; empty for all

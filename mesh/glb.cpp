@@ -10,8 +10,11 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <functional>
 #include <limits>
+#include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include <nlohmann/json.hpp>
@@ -44,36 +47,61 @@ std::uint16_t linear16(float srgb) {
   return static_cast<std::uint16_t>(std::lround(65535 * linear));
 }
 
-/// The document with its buffer.
+/// The document, and what its one buffer is made of: a part after the other, bit by bit, since all of it
+/// would be as large as the mesh once more.
 class Builder {
  public:
   Builder() {
     json_["bufferViews"] = nlohmann::ordered_json::array();
     json_["accessors"] = nlohmann::ordered_json::array();
   }
-  /// Closes what was appended since the last call to a view of its own.
+  /// Adds elements in a view of their own.
+  /// put      appends the bytes of one, by its number
   /// returns  the number of its accessor
-  std::size_t close(std::size_t count, const char* type, ComponentType component,
-                    BufferTarget target, nlohmann::ordered_json more = {}) {
+  std::size_t add(std::size_t count, std::size_t element_bytes,
+                  std::function<void(std::size_t, std::string&)> put, const char* type,
+                  ComponentType component, BufferTarget target, nlohmann::ordered_json more = {}) {
+    const std::size_t length = count * element_bytes;
     json_["bufferViews"].push_back({{"buffer", 0},
-                                    {"byteOffset", begin_},
-                                    {"byteLength", binary.size() - begin_},
+                                    {"byteOffset", bytes_},
+                                    {"byteLength", length},
                                     {"target", static_cast<int>(target)}});
+    // A list of numbers is one of scalars, three of a triangle.
+    const bool scalars = std::string_view(type) == "SCALAR";
     nlohmann::ordered_json accessor{{"bufferView", json_["bufferViews"].size() - 1},
                                     {"componentType", static_cast<int>(component)},
-                                    {"count", count},
+                                    {"count", scalars ? 3 * count : count},
                                     {"type", type}};
     if (!more.is_null()) accessor.update(more);
     json_["accessors"].push_back(std::move(accessor));
-    begin_ = binary.size();
+    bytes_ += length;
+    parts_.push_back({count, std::move(put)});
     return json_["accessors"].size() - 1;
   }
   nlohmann::ordered_json& json() { return json_; }
-  std::string binary;
+  std::size_t bytes() const { return bytes_; }
+  /// The next bytes of the buffer, which live until the next call; none at its end.
+  std::string_view next() {
+    constexpr std::size_t kTogether = 1 << 16;  // elements
+    piece_.clear();
+    while (piece_.empty() && part_ < parts_.size()) {
+      const auto& [count, put] = parts_[part_];
+      for (const std::size_t end = std::min(count, at_ + kTogether); at_ < end; ++at_)
+        put(at_, piece_);
+      if (at_ == count) ++part_, at_ = 0;
+    }
+    return piece_;
+  }
 
  private:
+  struct Part {
+    std::size_t count;
+    std::function<void(std::size_t, std::string&)> put;
+  };
   nlohmann::ordered_json json_;
-  std::size_t begin_ = 0;
+  std::vector<Part> parts_;
+  std::size_t bytes_ = 0, part_ = 0, at_ = 0;
+  std::string piece_;
 };
 
 void check(const std::string& where, const Mesh& mesh) {
@@ -100,7 +128,8 @@ void check(const std::string& where, const Mesh& mesh) {
 }  // namespace
 
 void write_glb(const std::filesystem::path& path, const Mesh& mesh,
-               const std::map<std::string, std::string>& extras) {
+               const std::map<std::string, std::string>& extras,
+               const std::function<void()>& poll) {
   const std::string where = path.string() + ": ";
   check(where, mesh);
   Builder glb;
@@ -110,23 +139,27 @@ void write_glb(const std::filesystem::path& path, const Mesh& mesh,
     const Triple p = y_up(v);
     for (std::size_t c = 0; c < 3; ++c)
       low[c] = std::min(low[c], p[c]), high[c] = std::max(high[c], p[c]);
-    append(glb.binary, p);
   }
+  const std::size_t V = mesh.vertices.size();
   attributes["POSITION"] =
-      glb.close(mesh.vertices.size(), "VEC3", kFloat, kVertices, {{"min", low}, {"max", high}});
-  if (!mesh.normals.empty()) {
-    for (const Triple& n : mesh.normals) append(glb.binary, y_up(n));
-    attributes["NORMAL"] = glb.close(mesh.vertices.size(), "VEC3", kFloat, kVertices);
-  }
-  if (!mesh.colours.empty()) {
-    for (const Triple& c : mesh.colours)
-      append(glb.binary,
-             std::array<std::uint16_t, 4>{linear16(c[0]), linear16(c[1]), linear16(c[2]), 65535});
+      glb.add(V, 12, [&](std::size_t v, std::string& out) { append(out, y_up(mesh.vertices[v])); },
+              "VEC3", kFloat, kVertices, {{"min", low}, {"max", high}});
+  if (!mesh.normals.empty())
+    attributes["NORMAL"] = glb.add(
+        V, 12, [&](std::size_t v, std::string& out) { append(out, y_up(mesh.normals[v])); }, "VEC3",
+        kFloat, kVertices);
+  if (!mesh.colours.empty())
     attributes["COLOR_0"] =
-        glb.close(mesh.vertices.size(), "VEC4", kUnsignedShort, kVertices, {{"normalized", true}});
-  }
-  for (const auto& face : mesh.faces) append(glb.binary, face);
-  const std::size_t indices = glb.close(3 * mesh.faces.size(), "SCALAR", kUnsignedInt, kIndices);
+        glb.add(V, 8,
+                [&](std::size_t v, std::string& out) {
+                  const Triple& c = mesh.colours[v];
+                  append(out, std::array<std::uint16_t, 4>{linear16(c[0]), linear16(c[1]),
+                                                           linear16(c[2]), 65535});
+                },
+                "VEC4", kUnsignedShort, kVertices, {{"normalized", true}});
+  const std::size_t indices = glb.add(
+      mesh.faces.size(), 12, [&](std::size_t f, std::string& out) { append(out, mesh.faces[f]); },
+      "SCALAR", kUnsignedInt, kIndices);
 
   nlohmann::ordered_json json{{"asset", {{"version", "2.0"}, {"generator", "satsurf"}}}};
   if (!extras.empty()) json["asset"]["extras"] = extras;
@@ -137,20 +170,24 @@ void write_glb(const std::filesystem::path& path, const Mesh& mesh,
                         {"doubleSided", true}}};
   json["meshes"] = {
       {{"primitives", {{{"attributes", attributes}, {"indices", indices}, {"material", 0}}}}}};
-  json["buffers"] = {{{"byteLength", glb.binary.size()}}};
+  json["buffers"] = {{{"byteLength", glb.bytes()}}};
   json.update(glb.json());
   std::string text = json.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
   text.resize((text.size() + 3) / 4 * 4, ' ');  // every part is a multiple of four bytes
 
-  const std::size_t length = 12 + 8 + text.size() + 8 + glb.binary.size();
+  const std::size_t length = 12 + 8 + text.size() + 8 + glb.bytes();
   if (length > std::numeric_limits<std::uint32_t>::max())
     throw IoError(where + "more than 4 GB, expected a mesh of fewer faces");
-  std::string head, chunk;
+  std::string head;
   append(head, kMagic), append(head, kVersion), append(head, static_cast<std::uint32_t>(length));
   append(head, static_cast<std::uint32_t>(text.size())), append(head, kJsonChunk);
-  append(chunk, static_cast<std::uint32_t>(glb.binary.size())), append(chunk, kBinaryChunk);
-  const std::array<std::string_view, 4> pieces{head, text, chunk, glb.binary};
-  atomic_write(path, pieces);
+  head += text;
+  append(head, static_cast<std::uint32_t>(glb.bytes())), append(head, kBinaryChunk);
+  bool begun = false;
+  atomic_write(path, [&]() -> std::string_view {
+    if (poll) poll();
+    return std::exchange(begun, true) ? glb.next() : head;
+  });
 }
 
 }  // namespace satsurf::mesh

@@ -4,6 +4,7 @@
 #include "satsurf/mesh/mesh.h"
 
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <string>
 
@@ -14,9 +15,11 @@ namespace satsurf::mesh {
 /// which are sRGB here, become linear light as the format has it.
 /// Source: Khronos, glTF 2.0 specification. Of tinygltf's 8000 lines one function would be used.
 /// extras  key = value pairs of the asset, e.g. the frame: programs pass over them
+/// poll    called now and then; what it throws ends the writing, without a file
 /// throws  IoError, also for a mesh without faces, for numbers that are not finite and faces of
 ///         vertices there are not
 void write_glb(const std::filesystem::path& path, const Mesh& mesh,
-               const std::map<std::string, std::string>& extras);
+               const std::map<std::string, std::string>& extras,
+               const std::function<void()>& poll = {});
 
 }  // namespace satsurf::mesh

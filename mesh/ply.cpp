@@ -17,6 +17,7 @@
 #include <sstream>
 #include <string>
 #include <string_view>
+#include <utility>
 
 namespace satsurf::mesh {
 namespace {
@@ -255,7 +256,7 @@ class Reader {
 }  // namespace
 
 void write_ply(const std::filesystem::path& path, const Mesh& mesh,
-               const std::vector<std::string>& comments) {
+               const std::vector<std::string>& comments, const std::function<void()>& poll) {
   const auto fail = [&](const std::string& what) {
     throw IoError("write_ply: " + path.string() + ": " + what);
   };
@@ -278,12 +279,11 @@ void write_ply(const std::filesystem::path& path, const Mesh& mesh,
       bytes += std::string("property ") + (n < kColour ? "float " : "uchar ") + kNames[n] + "\n";
   bytes += "element face " + std::to_string(mesh.faces.size()) +
            "\nproperty list uchar int vertex_indices\nend_header\n";
-  bytes.reserve(bytes.size() + V * 27 + mesh.faces.size() * 13);
 
   const auto put = [&](const auto& value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
   };
-  for (std::size_t v = 0; v < V; ++v) {
+  const auto put_vertex = [&](std::size_t v) {
     const auto floats = [&](const std::array<float, 3>& p, std::size_t first) {
       for (std::size_t a = 0; a < 3; ++a) {
         if (!std::isfinite(p[a]))
@@ -294,7 +294,7 @@ void write_ply(const std::filesystem::path& path, const Mesh& mesh,
     };
     floats(mesh.vertices[v], kPosition);
     if (normals) floats(mesh.normals[v], kNormal);
-    if (!colours) continue;
+    if (!colours) return;
     for (std::size_t c = 0; c < 3; ++c) {
       const float x = mesh.colours[v][c];
       if (!std::isfinite(x))
@@ -302,17 +302,31 @@ void write_ply(const std::filesystem::path& path, const Mesh& mesh,
              " is " + std::to_string(x) + ", expected a finite number");
       put(static_cast<std::uint8_t>(std::lround(255 * std::clamp(x, 0.f, 1.f))));
     }
-  }
-  for (const auto& f : mesh.faces) {
+  };
+  const auto put_face = [&](const std::array<std::uint32_t, 3>& face) {
     put(std::uint8_t{3});
-    for (const std::uint32_t v : f) {
+    for (const std::uint32_t v : face) {
       if (v >= V)
         fail("a face has vertex " + std::to_string(v) + ", expected fewer than " +
              std::to_string(V));
       put(static_cast<std::int32_t>(v));
     }
-  }
-  atomic_write(path, bytes);
+  };
+  // Bit by bit: all of the file would be as large as the mesh once more.
+  constexpr std::size_t kTogether = 1 << 16;  // vertices or faces
+  const std::size_t all = V + mesh.faces.size();
+  std::size_t at = 0;
+  bool begun = false;
+  atomic_write(path, [&]() -> std::string_view {
+    if (poll) poll();
+    if (std::exchange(begun, true)) bytes.clear();
+    for (const std::size_t end = std::min(all, at + kTogether); at < end; ++at)
+      if (at < V)
+        put_vertex(at);
+      else
+        put_face(mesh.faces[at - V]);
+    return bytes;
+  });
 }
 
 PlyContent read_ply(const std::filesystem::path& path) { return Reader(path).read(); }

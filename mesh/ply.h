@@ -4,6 +4,7 @@
 #include "satsurf/mesh/mesh.h"
 
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -15,9 +16,10 @@ namespace satsurf::mesh {
 /// Normals and colours are left out where the mesh has none. Written to a temporary name and
 /// renamed.
 /// comments  become header comment lines (the frame: CRS and origin with 17 digits)
+/// poll      called now and then; what it throws ends the writing, without a file
 /// throws    IoError (also for numbers that are not finite and faces of vertices there are not)
 void write_ply(const std::filesystem::path& path, const Mesh& mesh,
-               const std::vector<std::string>& comments);
+               const std::vector<std::string>& comments, const std::function<void()>& poll = {});
 
 /// A mesh and the comment lines of its file.
 struct PlyContent {

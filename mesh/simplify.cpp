@@ -131,6 +131,10 @@ Mesh mesh_from_heights(const Tensor& z, double x0, double y0, double step, const
   const Index H = dim["H"], W = dim["W"], P = H * W;
   Mesh out;
   std::vector<std::uint32_t> number(static_cast<std::size_t>(P), kNone);
+  const auto known = static_cast<std::size_t>(
+      std::ranges::count_if(z.values(), [](float v) { return std::isfinite(v); }));
+  out.vertices.reserve(known), out.faces.reserve(2 * known);  // at most; growing would copy
+  if (!colour.empty()) out.colours.reserve(known);
   const auto vertex = [&](Index at) {
     std::uint32_t& n = number[static_cast<std::size_t>(at)];
     if (n != kNone) return n;

@@ -109,6 +109,27 @@ struct Planes {
   }
 };
 
+/// Adds up what a row of a map says.
+/// xs, ys  the rows of the window around it
+/// p, i    its plane and row
+/// slopes  take its slopes; null where nobody wants them
+template <class T>
+WeightedSum row_sum(const Planes<T>& at, const SsimTerms<T>& terms,
+                    const std::array<const T*, kSsimWindow>& xs,
+                    const std::array<const T*, kSsimWindow>& ys, Index p, Index i,
+                    const std::array<T*, 5>& filtered, T* const* slopes) {
+  const auto& kernels = active_kernels<SsimKernels<T>>();
+  std::array<const T*, 5> inner{};
+  for (std::size_t k = 0; k < 5; ++k) inner[k] = filtered[k] + at.left;
+  kernels.moments(terms, xs.data(), ys.data(), at.W, filtered.data());
+  double of_row[2];
+  kernels.compare(terms, inner.data(), at.counts(p, i) + at.left, at.map_W, slopes, of_row);
+  return {of_row[0], of_row[1]};
+}
+
+/// Mean of all rows; 1 where nothing counts.
+double mean_of(const WeightedSum& sums) { return sums.weight > 0 ? sums.sum / sums.weight : 1; }
+
 }  // namespace
 
 template <class T>
@@ -128,25 +149,19 @@ BasicVar<T> ssim(const BasicVar<T>& x, const BasicTensor<T>& reference, SsimKind
       ordered_reduce(at.planes * at.map_H, kRows, WeightedSum{}, [&](Index begin, Index end) {
         WeightedSum of_piece;
         const std::array<T*, 5> filtered = padded_rows<T>(at.W);
-        std::array<const T*, 5> inner{};
-        for (std::size_t k = 0; k < 5; ++k) inner[k] = filtered[k] + at.left;
         for (Index r = begin; r < end; ++r) {
           const Index p = r / at.map_H, i = r % at.map_H + at.top, plane = p * at.H * at.W;
           const auto xs = window_rows(seen.data() + plane, at.H, at.W, i, at.zeros.data());
           const auto ys = window_rows(expected.data() + plane, at.H, at.W, i, at.zeros.data());
-          kernels.moments(terms, xs.data(), ys.data(), at.W, filtered.data());
           std::array<T*, 3> to{};
           if (recorded)
             for (std::size_t k = 0; k < 3; ++k) to[k] = slopes[k].data() + r * at.map_W;
-          double of_row[2];
-          kernels.compare(terms, inner.data(), at.counts(p, i) + at.left, at.map_W,
-                          recorded ? to.data() : nullptr, of_row);
-          of_piece += {of_row[0], of_row[1]};
+          of_piece += row_sum(at, terms, xs, ys, p, i, filtered, recorded ? to.data() : nullptr);
         }
         return of_piece;
       });
   const double pixels = sums.weight;
-  const auto out = BasicTensor<T>::scalar(static_cast<T>(pixels > 0 ? sums.sum / pixels : 1));
+  const auto out = BasicTensor<T>::scalar(static_cast<T>(mean_of(sums)));
 
   return BasicVar<T>::record("ssim", out, {x}, [=](Node<T>& n) {
     T* dx = n.grad_in(0);
@@ -168,6 +183,43 @@ BasicVar<T> ssim(const BasicVar<T>& x, const BasicTensor<T>& reference, SsimKind
       }
     });
   });
+}
+
+double ssim_score(const Tensor& x, const Tensor& reference, SsimKind kind, const Tensor& mask) {
+  const Planes<double> at(x.shape(), reference.shape(),
+                          mask.empty() ? BasicTensor<double>() : mask.cast<double>(), kind);
+  const SsimTerms<double> terms = terms_of<double>(kind);
+  const WeightedSum sums =
+      ordered_reduce(at.planes * at.map_H, kRows, WeightedSum{}, [&](Index begin, Index end) {
+        WeightedSum of_piece;
+        const std::array<double*, 5> filtered = padded_rows<double>(at.W);
+        thread_local std::vector<double> wide;
+        for (Index r = begin; r < end;) {  // the piece's rows of one plane after the other
+          const Index p = r / at.map_H, first = r % at.map_H, i0 = first + at.top;
+          const Index rows = std::min(end - r, at.map_H - first);
+          const Index low = std::max<Index>(0, i0 - R), high = std::min(at.H, i0 + rows + R);
+          const Index held = (high - low) * at.W;
+          wide.resize(static_cast<std::size_t>(2 * held));
+          for (Index k = low; k < high; ++k) {
+            const double* counts = at.counts(p, k);
+            const Index from = (p * at.H + k) * at.W;
+            double* to = wide.data() + (k - low) * at.W;
+            for (Index j = 0; j < at.W; ++j) {
+              to[j] = counts[j] != 0 ? static_cast<double>(x[from + j]) : 0.0;
+              to[held + j] = counts[j] != 0 ? static_cast<double>(reference[from + j]) : 0.0;
+            }
+          }
+          for (Index k = 0; k < rows; ++k, ++r) {
+            const auto xs =
+                window_rows(wide.data(), high - low, at.W, i0 + k - low, at.zeros.data());
+            const auto ys =
+                window_rows(wide.data() + held, high - low, at.W, i0 + k - low, at.zeros.data());
+            of_piece += row_sum<double>(at, terms, xs, ys, p, i0 + k, filtered, nullptr);
+          }
+        }
+        return of_piece;
+      });
+  return mean_of(sums);
 }
 
 template BasicVar<float> ssim(const BasicVar<float>&, const BasicTensor<float>&, SsimKind,

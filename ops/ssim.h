@@ -34,4 +34,11 @@ template <class T>
 BasicVar<T> ssim(const BasicVar<T>& x, const BasicTensor<T>& reference, SsimKind kind,
                  const BasicTensor<T>& mask = {});
 
+/// What `ssim` says of the same images in double, bit by bit, without copies of them: rows become double
+/// where they are compared.
+/// x, reference, kind, mask  as there
+/// returns    1 where no pixel counts
+/// throws     ShapeError
+double ssim_score(const Tensor& x, const Tensor& reference, SsimKind kind, const Tensor& mask = {});
+
 }  // namespace satsurf

@@ -54,23 +54,27 @@ OwnedRows::OwnedRows(const Tiling& tiling, Index channels)
     : tiling_(tiling), values_(static_cast<std::size_t>(channels)) {}
 
 void OwnedRows::add(const Tile& tile, const Tensor& values) {
-  const CellRect& core = tile.core;
+  const CellRect& all = tile.all;
   const auto C = static_cast<Index>(values_.size());
-  if (values.shape() != Shape{C, core.height(), core.width()} || core.y0 < first_)
+  if (values.shape() != Shape{C, all.height(), all.width()} || all.y0 < first_)
     throw ShapeError("OwnedRows: values " + values.shape().str() + " from row " +
-                     std::to_string(core.y0) + ", expected " +
-                     Shape{C, core.height(), core.width()}.str() + " from row " +
+                     std::to_string(all.y0) + ", expected " +
+                     Shape{C, all.height(), all.width()}.str() + " from row " +
                      std::to_string(first_) + " on");
   const Index W = tiling_.grid.width;
-  const auto needed = static_cast<std::size_t>((core.y1 - first_) * W);
+  const auto needed = static_cast<std::size_t>((all.y1 - first_) * W);
   for (auto& channel : values_)
     if (channel.size() < needed) channel.resize(needed, kNan);
-  for (Index y = core.y0; y < core.y1; ++y)
-    for (Index x = core.x0; x < core.x1; ++x) {
-      if (!tiling_.owns(tile, x, y)) continue;
+  for (Index y = all.y0; y < all.y1; ++y)
+    for (Index x = all.x0; x < all.x1; ++x) {
+      const auto at = static_cast<std::size_t>((y - first_) * W + x);
+      const float* from = values.data() + (y - all.y0) * all.width() + x - all.x0;
+      if (!std::isfinite(*from)) continue;
+      if (!tiling_.owns(tile, x, y) &&
+          (std::isfinite(values_[0][at]) || !(static_cast<float>(tiling_.weight(tile, x, y)) > 0)))
+        continue;
       for (Index c = 0; c < C; ++c)
-        values_[static_cast<std::size_t>(c)][static_cast<std::size_t>((y - first_) * W + x)] =
-            values[(c * core.height() + y - core.y0) * core.width() + x - core.x0];
+        values_[static_cast<std::size_t>(c)][at] = from[c * all.height() * all.width()];
     }
 }
 

@@ -24,11 +24,12 @@ class FeatheredRows {
   std::vector<float> sum_, weight_;
 };
 
-/// Puts the rasters of tiles beside one another, each in the cells that it answers for.
+/// Puts the rasters of tiles beside one another, each in the cells that it answers for. What the one
+/// does not know there another says that is blended in, so that as much is known as of blended rasters.
 class OwnedRows {
  public:
   OwnedRows(const Tiling& tiling, Index channels);
-  /// values  [C h w] of the tile's core
+  /// values  [C h w] of all cells of the tile, known where the first channel is
   void add(const Tile& tile, const Tensor& values);
   /// As of `FeatheredRows`, [C n W], NaN where no tile knew anything.
   Tensor finished(Index end);

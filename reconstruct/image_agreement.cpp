@@ -2,7 +2,6 @@
 #include "satsurf/reconstruct/image_agreement.h"
 
 #include "satsurf/core/parallel.h"
-#include "satsurf/nn/surfel_head.h"
 #include "satsurf/reconstruct/shown_pixel.h"
 #include "satsurf/scene/sight_lines.h"
 
@@ -16,37 +15,9 @@ namespace {
 
 constexpr Index kSide = 8;                                // points along a square
 constexpr double kSpacing = 3;                            // px between them
-constexpr double kConfirmed = 0.6;                        // correlation of what shows the same
-constexpr double kUnlike = 0.2;                           // of what does not
-constexpr Index kLeastPoints = 32;                        // both images have to show
 constexpr double kLeastSquares = 20, kLeastShare = 0.01;  // to judge an image by
-constexpr double kLeastDeviation = 0.004;                 // of the brightness: one grey level
 
 using Points = std::array<float, kSide * kSide>;  ///< brightness, NaN where not seen
-
-/// Pearson's; 0 for what has no texture, nothing for too few points in common.
-std::optional<double> correlation(const Points& a, const Points& b) {
-  double n = 0, sa = 0, sb = 0, saa = 0, sbb = 0, sab = 0;
-  for (std::size_t k = 0; k < a.size(); ++k) {
-    const auto p = static_cast<double>(a[k]), q = static_cast<double>(b[k]);
-    if (!(std::isfinite(p) && std::isfinite(q))) continue;
-    n += 1, sa += p, sb += q, saa += p * p, sbb += q * q, sab += p * q;
-  }
-  if (n < kLeastPoints) return std::nullopt;
-  const double va = saa / n - sa * sa / (n * n), vb = sbb / n - sb * sb / (n * n);
-  constexpr double kLeast = kLeastDeviation * kLeastDeviation;
-  if (va < kLeast || vb < kLeast) return 0;
-  return (sab / n - sa * sb / (n * n)) / std::sqrt(va * vb);
-}
-
-/// Mean of the channels at the nearest pixel; NaN outside and where the image has no data.
-float brightness(const nn::PosedImage& image, const std::array<double, 2>& pixel) {
-  const Index at = shown_pixel(image, pixel), C = image.rgb.dim(0), P = image.valid.count();
-  if (at < 0) return NAN;
-  float sum = 0;
-  for (Index c = 0; c < C; ++c) sum += image.rgb[c * P + at];
-  return sum / static_cast<float>(C);
-}
 
 /// What was found in some squares.
 struct Found {
@@ -86,13 +57,6 @@ void judge(const std::vector<Points>& shown, Found& found) {
   }
 }
 
-/// Mean side of the images' pixels on the ground, m.
-double mean_footprint(const std::vector<nn::PosedImage>& images, double z) {
-  double sum = 0;
-  for (const nn::PosedImage& image : images) sum += nn::pixel_geometry(image, z, 1).footprint;
-  return sum / static_cast<double>(images.size());
-}
-
 double middle_of(const Tensor& heights) {
   double low = INFINITY, high = -INFINITY;
   for (const float v : heights.values())
@@ -102,6 +66,21 @@ double middle_of(const Tensor& heights) {
 }
 
 }  // namespace
+
+std::optional<double> correlation(std::span<const float> a, std::span<const float> b) {
+  constexpr double kLeastDeviation = 0.004;  // of the brightness: one grey level
+  double n = 0, sa = 0, sb = 0, saa = 0, sbb = 0, sab = 0;
+  for (std::size_t k = 0; k < a.size(); ++k) {
+    const auto p = static_cast<double>(a[k]), q = static_cast<double>(b[k]);
+    if (!(std::isfinite(p) && std::isfinite(q))) continue;
+    n += 1, sa += p, sb += q, saa += p * p, sbb += q * q, sab += p * q;
+  }
+  if (2 * n < static_cast<double>(a.size())) return std::nullopt;
+  const double va = saa / n - sa * sa / (n * n), vb = sbb / n - sb * sb / (n * n);
+  constexpr double kLeast = kLeastDeviation * kLeastDeviation;
+  if (va < kLeast || vb < kLeast) return 0;
+  return (sab / n - sa * sb / (n * n)) / std::sqrt(va * vb);
+}
 
 ImageAgreement image_agreement(const scene::HeightField& surface,
                                const std::vector<nn::PosedImage>& images) {
@@ -135,7 +114,7 @@ ImageAgreement image_agreement(const scene::HeightField& surface,
         for (std::size_t v = 0; v < images.size(); ++v)
           if (lines.sees(v, i, j))
             shown[v][static_cast<std::size_t>(k)] =
-                brightness(images[v], images[v].pixel_from_local(x, y, z));
+                shown_brightness(images[v], images[v].pixel_from_local(x, y, z));
       }
       judge(shown, in_rows[static_cast<std::size_t>(r)]);
     }

@@ -4,6 +4,8 @@
 #include "satsurf/nn/input.h"
 #include "satsurf/scene/raycast.h"
 
+#include <optional>
+#include <span>
 #include <vector>
 
 namespace satsurf::reconstruct {
@@ -20,6 +22,13 @@ struct ImageAgreement {
   /// judge by than a hundredth of the surface or 20 squares.
   std::vector<double> unconfirmed;
 };
+
+/// Correlation, from which on two pieces of images show the same, and below which they do not.
+inline constexpr double kConfirmed = 0.6, kUnlike = 0.2;
+/// Pearson's, of the brightness that two images have at the same points; 0 for what has no texture,
+/// nothing where fewer than half of the points are known in both.
+/// a, b  alike long, NaN where not known
+std::optional<double> correlation(std::span<const float> a, std::span<const float> b);
 
 /// Compares the images in squares of 24 px of ground, where they see the surface.
 /// surface  in the local frame

@@ -55,18 +55,20 @@ Index nearest(const std::array<double, 2>& q, Index width, Index height) {
 }  // namespace
 
 Visibility find_visibility(const scene::HeightField& surface,
-                           const std::vector<nn::PosedImage>& images) {
+                           const std::vector<nn::PosedImage>& images, const Exposures& exposures) {
   const Index H = surface.z.dim(0), W = surface.z.dim(1);
   Visibility out{Tensor({H, W}, kNan), std::vector<Index>(static_cast<std::size_t>(H * W), -1)};
   std::vector<scene::LitView> views;
   for (const nn::PosedImage& image : images) views.push_back({image});
   const scene::SightLines lines(surface, views);
   if (lines.empty()) return out;
+  const Outvoted outvoted(surface, images, lines, exposures);
   for_range(H, 4, [&](Index begin, Index end) {
     for (Index k = begin * W; k < end * W; ++k) {
       if (!std::isfinite(surface.z[k])) continue;
       const auto p = centre_of(surface, k);
-      double steepest = std::numeric_limits<double>::infinity();
+      // images that are outvoted come after all others
+      std::pair<bool, double> least{true, std::numeric_limits<double>::infinity()};
       Index count = 0;
       for (std::size_t i = 0; i < images.size(); ++i) {
         if (!lines.sees(i, k / W, k % W)) continue;
@@ -74,8 +76,8 @@ Visibility find_visibility(const scene::HeightField& surface,
         const Index width = images[i].valid.dim(1), height = images[i].valid.dim(0);
         if (!(images[i].valid[nearest(q, width, height)] > 0)) continue;
         ++count;
-        if (const double s = slant(images[i], q, p[2]); s < steepest)
-          steepest = s, out.best[static_cast<std::size_t>(k)] = static_cast<Index>(i);
+        const std::pair how{outvoted(i, k / W, k % W), slant(images[i], q, p[2])};
+        if (how < least) least = how, out.best[static_cast<std::size_t>(k)] = static_cast<Index>(i);
       }
       out.views[k] = static_cast<float>(count);
     }

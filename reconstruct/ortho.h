@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/input.h"
+#include "satsurf/reconstruct/outvoted.h"
 #include "satsurf/scene/raycast.h"
 
 #include <functional>
@@ -11,17 +12,21 @@ namespace satsurf::reconstruct {
 
 /// Which images see the cells of a surface.
 struct Visibility {
-  Tensor views;             ///< [H W] how many see the cell; NaN where it has no height
-  std::vector<Index> best;  ///< [H W] of those the one that looks down most steeply; -1 for none
+  Tensor views;  ///< [H W] how many see the cell; NaN where it has no height
+  /// [H W] of those the one that looks down most steeply and that the others do not outvote, else of
+  /// all of them; -1 for none.
+  std::vector<Index> best;
 };
 /// Casts a ray from every cell's centre to every camera. Cells are columns with vertical walls, and
 /// one sees what lies on a valid pixel with nothing of the surface before it; cells without a height
 /// hide nothing.
 /// surface  in the local frame
-/// images   whole, in the same frame
-/// cost     at most a ray per view and cell
+/// images     whole, in the same frame
+/// exposures  of the images, by which clouds are told, see `Outvoted`; none for nothing outvoted
+/// cost       at most a ray per view and cell, and that of `Outvoted`
 Visibility find_visibility(const scene::HeightField& surface,
-                           const std::vector<nn::PosedImage>& images);
+                           const std::vector<nn::PosedImage>& images,
+                           const Exposures& exposures = {});
 
 /// The surface from straight above in the colours of the image that sees each cell best, so that no
 /// wall or roof is drawn on the ground that it hides. Seams between images of different light are

@@ -157,10 +157,12 @@ WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surfa
                        : surface == Surface::refined ? kRefine * pixels + kRefined * cells
                                                      : kFuse * pixels + kFused * cells);
   parts.push_back({"surface", render});
-  const double mesh = size.columns > 0 ? (kSurfel + kHeights) * pixels + kMesh * size.columns : 0;
-  const double most =
-      std::max({network, render + sizeof(float) * kLists * pixels, sizeof(float) * mesh});
-  return {kProgram + kKept * (sizeof(float) * kView * pixels + most), std::move(parts)};
+  const auto program = [&](double most) {
+    return kProgram + kKept * (sizeof(float) * kView * pixels + most);
+  };
+  const double mesh = sizeof(float) * ((kSurfel + kHeights) * pixels + kMesh * size.columns);
+  return {program(std::max(network, render + sizeof(float) * kLists * pixels)),
+          size.columns > 0 ? program(mesh) : 0, std::move(parts)};
 }
 
 Surface surface_kind(const ReconstructOptions& options) {
@@ -179,6 +181,7 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
                                     const ReconstructOptions& options) {
   const double z = scene.z_range.middle();
   ReconstructPlan plan;
+  plan.z_range = scene.z_range;
   plan.ground = options.grid ? options.grid->ground() : common_ground(scene);
   const Ground& ground = plan.ground;
   const std::array<double, 3> middle{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
@@ -223,10 +226,13 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   WorkSize size{.views = static_cast<Index>(scene.views.size()),
                 .window = plan.window,
                 .cells = static_cast<double>(plan.height) * static_cast<double>(plan.width)};
+  plan.megapixels = 1e-6 * static_cast<double>(plan.window.count()) *
+                    static_cast<double>(size.views) * static_cast<double>(plan.middles.size());
   for (const scene::View& v : scene.views) size.pixels += static_cast<double>(v.valid.count());
   if (plan.voxel > 0) size.columns = size.cells * plan.step * plan.step / (plan.voxel * plan.voxel);
   WorkMemory memory = work_memory(model, size, surface_kind(options));
-  plan.memory_bytes = memory.bytes;
+  plan.surface_bytes = memory.surface_bytes, plan.mesh_bytes = memory.mesh_bytes;
+  plan.memory_bytes = std::max(plan.surface_bytes, plan.mesh_bytes);
   plan.memory = std::move(memory.parts);
   return plan;
 }
@@ -246,7 +252,7 @@ void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {
   satsurf::check_memory(std::to_string(scene.views.size()) + " windows of " +
                             times(plan.window.height, plan.window.width) + " px and a surface of " +
                             times(plan.width, plan.height) + " cells need",
-                        plan.memory_bytes, "give smaller images or a coarser resolution",
+                        plan.surface_bytes, "give smaller images or a coarser resolution",
                         static_cast<double>(tensor_bytes()));  // the images are read
 }
 

@@ -89,6 +89,7 @@ nn::Wanted wanted_of(Surface surface);
 
 /// What `reconstruct` is going to do.
 struct ReconstructPlan {
+  rpc::HeightRange z_range;                    ///< that is searched, local m
   Ground ground;                               ///< that two views see
   double east = 0, north = 0;                  ///< upper-left corner of the DSM, local m
   double step = 0;                             ///< its cell, m
@@ -99,8 +100,11 @@ struct ReconstructPlan {
   std::vector<std::array<double, 3>> middles;  ///< of each window, local m
   bool whole_images = false;                   ///< the one window of a view holds its whole image
   double memory_bytes = 0;                     ///< of the whole program, within a tenth
+  double surface_bytes = 0;                    ///< of it before the mesh, which may fail alone
+  double mesh_bytes = 0;                       ///< of it while the mesh is made, 0 without one
   /// Tensors of the network's parts, then of "surface", each within a tenth.
   std::vector<nn::PartMemory> memory;
+  double megapixels = 0;  ///< that the network sees, of all views and windows together
 };
 /// What a reconstruction's memory depends on.
 struct WorkSize {
@@ -112,7 +116,8 @@ struct WorkSize {
 };
 /// What a reconstruction takes of the memory.
 struct WorkMemory {
-  double bytes = 0;                   ///< of the whole program at most
+  double surface_bytes = 0;           ///< of the whole program at most, before the mesh
+  double mesh_bytes = 0;              ///< of it while the mesh is made, 0 without one
   std::vector<nn::PartMemory> parts;  ///< see ReconstructPlan
 };
 WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surface surface);
@@ -140,7 +145,7 @@ double span_of_hypotheses(const nn::ModelConfig& config,
 ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,
                                     const ReconstructOptions& options);
 
-/// throws  Error where the system has less memory than the plan needs
+/// throws  Error where the system has less memory than the plan needs for the surface
 void check_memory(const ReconstructPlan& plan, const scene::Scene& scene);
 
 /// Number of views on whose valid pixels a point of the scene falls, hidden or not.

@@ -217,6 +217,7 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
   out.tiles = static_cast<Index>(plan.tiles.size());
   out.voxel = plan.voxel;
   out.planned_memory_bytes = plan.memory_bytes;
+  out.planned_mesh_bytes = plan.mesh_bytes;
   out.planned_memory = plan.memory;
   if (weighed) all.evidence = evidence.all(), all.grid = evidence.grid(plan);
   all.surfels = splat::joined(parts);
@@ -250,6 +251,12 @@ FusedSurface refined(const nn::SurfaceModel& network, const nn::SurfaceInput& in
 }
 
 }  // namespace
+
+ReconstructPlan plan_of_run(const nn::Model& model, const scene::Scene& scene,
+                            const ReconstructOptions& options) {
+  const NoGrad no_grad;
+  return plan_reconstruction(model.config(), narrowed(model, scene, options), options);
+}
 
 Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
                            const ReconstructOptions& options) {

@@ -17,7 +17,9 @@ struct Reconstruction {
   scene::HeightField dsm;  ///< local z in m, NaN where nothing was seen
   Tensor confidence;       ///< [H W] in [0, 1], NaN like the DSM
   Tensor sigma;            ///< [H W] m, NaN alike; only of a refined surface, else empty
-  splat::Surfels surfels;  ///< in the local frame
+  /// In the local frame; those on a refined surface face their cameras, as the views that become a
+  /// mesh want them. `delivered_surfels` lays them in the surface.
+  splat::Surfels surfels;
   /// The scene's images, whole, each with the one camera that was fitted to it.
   std::vector<nn::PosedImage> images;
   Index tiles = 0;
@@ -27,9 +29,16 @@ struct Reconstruction {
   /// begins to show in the heights.
   double camera_fit_max_px = 0;
   double planned_memory_bytes = 0;             ///< see ReconstructPlan
+  double planned_mesh_bytes = 0;               ///< alike, `mesh_bytes`
   std::vector<nn::PartMemory> planned_memory;  ///< alike
   std::vector<nn::PartMemory> memory;          ///< the same parts, measured
 };
+
+/// What `reconstruct` is going to make of a scene, within the heights that it will search: it looks at
+/// smaller images for them, as that does (see `narrowed_range`).
+/// throws  as `reconstruct`, but where the memory does not suffice
+ReconstructPlan plan_of_run(const nn::Model& model, const scene::Scene& scene,
+                            const ReconstructOptions& options);
 
 /// Runs the network over all views of the scene (each is a source) and makes one surface of their
 /// surfels. Neither reads nor writes files.

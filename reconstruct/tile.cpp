@@ -2,6 +2,7 @@
 #include "satsurf/reconstruct/tile.h"
 
 #include "satsurf/reconstruct/cell_count.h"
+#include "satsurf/reconstruct/laid_surfels.h"
 #include "satsurf/reconstruct/narrow.h"
 #include "satsurf/reconstruct/ortho.h"
 #include "satsurf/splat/select.h"
@@ -28,15 +29,11 @@ bool shown_by_two(const scene::Scene& scene, const scene::Polygon& ground) {
   return false;
 }
 
-/// The part [.. h w] of [.. H W].
+/// The part [h w] of [H W].
 Tensor part_of(const Tensor& whole, Index y0, Index x0, Index h, Index w) {
-  const bool planes = whole.rank() == 3;
-  const Index C = planes ? whole.dim(0) : 1, H = whole.dim(planes ? 1 : 0),
-              W = whole.dim(planes ? 2 : 1);
-  auto out = Tensor::uninitialised(planes ? Shape{C, h, w} : Shape{h, w});
-  for (Index c = 0; c < C; ++c)
-    for (Index y = 0; y < h; ++y)
-      std::copy_n(whole.data() + (c * H + y0 + y) * W + x0, w, out.data() + (c * h + y) * w);
+  auto out = Tensor::uninitialised({h, w});
+  for (Index y = 0; y < h; ++y)
+    std::copy_n(whole.data() + (y0 + y) * whole.dim(1) + x0, w, out.data() + y * w);
   return out;
 }
 
@@ -109,7 +106,7 @@ Windows windows_for(const scene::Scene& scene, const scene::Polygon& ground, dou
 }  // namespace
 
 TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene& part,
-                             const Tiling& tiling, const Tile& tile,
+                             const Tiling& tiling, const Tile& tile, const Exposures& exposures,
                              const ReconstructOptions& options) {
   TileSurface out;
   const Grid grid = tiling.grid_of(tile.all), core = tiling.grid_of(tile.core);
@@ -136,19 +133,17 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
   out.empty = false;
   out.z_range = made.z_range, out.camera_fit_max_px = made.camera_fit_max_px;
   out.window = how.window;
-  const Visibility seen = find_visibility(made.dsm, made.images);
-  const Tensor ortho = orthophoto(made.dsm, made.images, seen, [&](Index i) {
-    return part.values[static_cast<std::size_t>(i)];
-  });
+  Visibility seen = find_visibility(made.dsm, made.images, exposures.among(part.views));
+  out.ortho = orthophoto(made.dsm, made.images, seen,
+                         [&](Index i) { return part.values[static_cast<std::size_t>(i)]; });
   const Index y0 = tile.core.y0 - tile.all.y0, x0 = tile.core.x0 - tile.all.x0, h = core.height,
               w = core.width;
-  out.views = part_of(seen.views, y0, x0, h, w);
-  if (!ortho.empty()) out.ortho = part_of(ortho, y0, x0, h, w);
   const CellCount cells =
       count_cells({part_of(made.dsm.z, y0, x0, h, w), core.east, core.north, core.step},
                   made.images, scene.z_range.middle(), unmade);
   out.found = cells.found, out.expected = cells.expected;
-  out.surfels = over(made.surfels, tiling, tile);
+  out.surfels = over(delivered_surfels(made), tiling, tile);
+  out.views = std::move(seen.views);
   out.heights = std::move(made.dsm.z);
   out.confidence = std::move(made.confidence);
   out.sigma = std::move(made.sigma);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/reconstruct/outvoted.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/tiling.h"
 
@@ -13,8 +14,8 @@ struct TileSurface {
   Tensor heights;            ///< [h w] of all its cells, local z in m, NaN where unknown
   Tensor confidence;         ///< alike
   Tensor sigma;              ///< alike; empty unless the surface is refined
-  Tensor views;              ///< [h w] of its core: how many images see the cell
-  Tensor ortho;              ///< [C h w] of its core, as `orthophoto`; empty where nothing is seen
+  Tensor views;              ///< alike: how many images see the cell
+  Tensor ortho;              ///< [C h w] alike, as `orthophoto`; empty where nothing is seen
   splat::Surfels surfels;    ///< those over its core; without tensors where there are none
   rpc::HeightRange z_range;  ///< that was searched, local m
   scene::WindowSize window;  ///< what the network saw of each view, px
@@ -24,11 +25,12 @@ struct TileSurface {
 };
 
 /// Makes the surface of one tile.
-/// part     of the scene that shows it
-/// options  of the whole; grid, window and range are the tile's
-/// throws   as `reconstruct`
+/// part       of the scene that shows it
+/// exposures  of all images of the survey
+/// options    of the whole; grid, window and range are the tile's
+/// throws     as `reconstruct`
 TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene& part,
-                             const Tiling& tiling, const Tile& tile,
+                             const Tiling& tiling, const Tile& tile, const Exposures& exposures,
                              const ReconstructOptions& options);
 
 }  // namespace satsurf::reconstruct

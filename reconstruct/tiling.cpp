@@ -46,7 +46,7 @@ double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images,
                                        .pixels = static_cast<double>(images.views) * area,
                                        .cells = cells},
                                       surface);
-  return kRepeated * (memory_around(images, area) + work.bytes);
+  return kRepeated * (memory_around(images, area) + work.surface_bytes);
 }
 
 /// The same of a square window.

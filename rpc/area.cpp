@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/rpc/area.h"
 
-#include "satsurf/rpc/drivers.h"
 #include "satsurf/rpc/gdal.h"
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
+#include <functional>
 #include <limits>
 #include <memory>
+#include <span>
+#include <sstream>
+#include <vector>
 
 #include <ogrsf_frmts.h>
 
@@ -16,15 +18,6 @@ namespace satsurf::rpc {
 namespace {
 
 namespace fs = std::filesystem;
-
-/// Vector formats that are read without being named by the user; the reasons are those of
-/// `open_raster`.
-std::vector<std::string> vector_drivers() {
-  std::vector<std::string> names{"GeoJSON",    "GPKG", "ESRI Shapefile", "LIBKML", "KML",
-                                 "FlatGeobuf", "GML"};
-  std::ranges::copy(trusted_drivers(), std::back_inserter(names));
-  return names;
-}
 
 void add_ring(Area& area, const OGRLinearRing* ring) {
   if (ring == nullptr || ring->getNumPoints() < 4) return;
@@ -81,53 +74,162 @@ void check_corners(const fs::path& path, const OGRMultiPolygon& polygons, bool d
   throw IoError(text.str());
 }
 
-/// The polygons of all layers as one, so that those that overlap count once.
+/// A geometry's polygons in the zone; none where it has none.
+/// layer   for its reference system
+/// wanted  of the zone
+/// throws  IoError
+OGRMultiPolygon in_zone(const fs::path& path, const OGRGeometry& geometry, OGRLayer& layer,
+                        OGRSpatialReference& wanted) {
+  std::unique_ptr<OGRGeometry> flat(geometry.getLinearGeometry());
+  flat->flattenTo2D();
+  OGRMultiPolygon polygons;
+  take_polygons(*flat, polygons);
+  if (polygons.IsEmpty()) return polygons;
+  const OGRSpatialReference* crs = layer.GetSpatialRef();
+  if (crs == nullptr)
+    throw IoError(path.string() + ": the layer " + layer.GetName() +
+                  " names no reference system, expected one (a .prj beside a shapefile)");
+  OGRSpatialReference from(*crs);
+  from.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+  polygons.assignSpatialReference(&from);
+  check_corners(path, polygons, from.IsGeographic() != 0);
+  // corners along long sides, which are straight where they were drawn and not in the zone; not
+  // so many that sides around the Earth fill the memory, or that those of polygons which cross
+  // each other take seconds to be joined
+  constexpr double kMostCorners = 2e3;
+  polygons.segmentize(
+      std::max(from.IsGeographic() ? 0.001 : 100, perimeter(polygons) / kMostCorners));
+  const bool moved = polygons.transformTo(&wanted) == OGRERR_NONE;
+  polygons.assignSpatialReference(nullptr);
+  if (!moved)
+    throw IoError(path.string() + ": a polygon cannot be brought into the images' zone (" +
+                  gdal_error() + "), expected one of the images' ground");
+  return polygons;
+}
+
+/// Counts what is read of a vector file.
+class Counted {
+ public:
+  Counted(const fs::path& path, const std::function<void()>& poll) : path_(path), poll_(poll) {}
+
+  /// throws  IoError; what `poll` does
+  void add_feature() {
+    constexpr int kMost = 100'000;
+    if (poll_ && features_ % 100 == 0) poll_();
+    if (++features_ > kMost) refuse("features", kMost);
+  }
+  /// throws  IoError
+  void add(const OGRMultiPolygon& polygons) {
+    constexpr int kMostRings = 20'000, kMost = 200'000;  // joined in some seconds
+    for (const OGRPolygon* polygon : polygons)
+      for (const OGRLinearRing* ring : *polygon) corners_ += ring->getNumPoints(), ++rings_;
+    if (rings_ > kMostRings) refuse("rings of polygons", kMostRings);
+    if (corners_ > kMost) refuse("corners", kMost);
+  }
+
+ private:
+  [[noreturn]] void refuse(const std::string& what, int most) const {
+    throw IoError(path_.string() + ": more than " + std::to_string(most) + " " + what +
+                  ", expected the polygons around some ground; cut or join them (ogr2ogr)");
+  }
+
+  const fs::path& path_;
+  const std::function<void()>& poll_;
+  int features_ = 0, rings_ = 0;
+  Index corners_ = 0;
+};
+
+/// Joins polygons, so that those that overlap count once; the nearest first, with time to ask for
+/// signals between.
+/// across  whether to part them by their eastings, else by their northings
+/// returns nothing where GEOS cannot
+std::unique_ptr<OGRGeometry> joined(std::span<const OGRPolygon*> polygons,
+                                    const std::function<void()>& poll, bool across = true) {
+  constexpr std::size_t kFew = 64;
+  if (poll) poll();
+  if (polygons.size() <= kFew) {
+    OGRMultiPolygon few;
+    for (const OGRPolygon* polygon : polygons) few.addGeometry(polygon);
+    return std::unique_ptr<OGRGeometry>(few.UnionCascaded());
+  }
+  const auto place = [&](const OGRPolygon* polygon) {
+    OGREnvelope box;
+    polygon->getEnvelope(&box);
+    return across ? box.MinX + box.MaxX : box.MinY + box.MaxY;
+  };
+  std::ranges::stable_sort(polygons, {}, place);
+  const std::size_t half = polygons.size() / 2;
+  const auto low = joined(polygons.first(half), poll, !across);
+  const auto high = low ? joined(polygons.subspan(half), poll, !across) : nullptr;
+  if (poll) poll();
+  return std::unique_ptr<OGRGeometry>(high ? low->Union(high.get()) : nullptr);
+}
+
+/// The polygons of all layers as one; nothing where there are none.
+/// throws  IoError; what `poll` does
 std::unique_ptr<OGRGeometry> polygons_of(const fs::path& path, GDALDataset& d,
-                                         OGRSpatialReference& wanted) {
-  OGRMultiPolygon all;
+                                         OGRSpatialReference& wanted,
+                                         const std::function<void()>& poll) {
+  std::vector<OGRMultiPolygon> found;
+  Counted counted(path, poll);
   for (OGRLayer* layer : d.GetLayers())
     for (auto& feature : *layer) {
+      counted.add_feature();
       const OGRGeometry* geometry = feature->GetGeometryRef();
       if (geometry == nullptr) continue;
-      std::unique_ptr<OGRGeometry> flat(geometry->getLinearGeometry());
-      flat->flattenTo2D();
-      OGRMultiPolygon polygons;
-      take_polygons(*flat, polygons);
-      if (polygons.IsEmpty()) continue;
-      const OGRSpatialReference* crs = layer->GetSpatialRef();
-      if (crs == nullptr)
-        throw IoError(path.string() + ": the layer " + layer->GetName() +
-                      " names no reference system, expected one (a .prj beside a shapefile)");
-      OGRSpatialReference from(*crs);
-      from.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
-      polygons.assignSpatialReference(&from);
-      check_corners(path, polygons, from.IsGeographic() != 0);
-      // corners along long sides, which are straight where they were drawn and not in the zone; not
-      // so many that sides around the Earth fill the memory, or that those of polygons which cross
-      // each other take seconds to be joined
-      constexpr double kMostCorners = 2e3;
-      polygons.segmentize(
-          std::max(from.IsGeographic() ? 0.001 : 100, perimeter(polygons) / kMostCorners));
-      const bool moved = polygons.transformTo(&wanted) == OGRERR_NONE;
-      polygons.assignSpatialReference(nullptr);
-      if (!moved)
-        throw IoError(path.string() + ": a polygon cannot be brought into the images' zone (" +
-                      gdal_error() + "), expected one of the images' ground");
-      for (const OGRPolygon* polygon : polygons) all.addGeometry(polygon);
+      found.push_back(in_zone(path, *geometry, *layer, wanted));
+      counted.add(found.back());
     }
-  return std::unique_ptr<OGRGeometry>(all.UnionCascaded());
+  std::vector<const OGRPolygon*> all;
+  for (const OGRMultiPolygon& polygons : found)
+    for (const OGRPolygon* polygon : polygons) all.push_back(polygon);
+  if (all.empty()) return nullptr;
+  auto area = joined(all, poll);
+  if (!area)
+    throw IoError(path.string() + ": its polygons cannot be joined (" + gdal_error() +
+                  "), expected such as do not cross themselves");
+  return area;
+}
+
+/// Opens a vector file of one of the known formats. Needs a GdalScope.
+/// throws  IoError
+DatasetPtr open_vector(const fs::path& path) {
+  require_file(path, "a vector file of polygons");
+  names_beside(path);
+  // A view of a GeoPackage may have rows without end, or none and no end, and any of its tables may be
+  // one, those that are read to open it too; SQLite says so by the one error a query can make.
+  const char* const no_views =
+      "PRELUDE_STATEMENTS=SELECT CASE WHEN EXISTS(SELECT 1 FROM sqlite_master WHERE type='view') "
+      "THEN abs(-9223372036854775807 - 1) END";
+  const std::vector<std::string> names = vector_drivers();
+  const std::vector<const char*> list = list_of(names);
+  const GDALDriverH driver =
+      GDALIdentifyDriverEx(path.string().c_str(), GDAL_OF_VECTOR, list.data(), nullptr);
+  const bool package = driver != nullptr && EQUAL(GDALGetDriverShortName(driver), "GPKG");
+  const char* const options[] = {package ? no_views : nullptr, nullptr};
+  const unsigned flags = GDAL_OF_VECTOR | GDAL_OF_READONLY | GDAL_OF_VERBOSE_ERROR;
+  DatasetPtr d(GDALDataset::FromHandle(
+      GDALOpenEx(path.string().c_str(), flags, list.data(), options, nullptr)));
+  check_requests(path);
+  if (d) return d;
+  const std::string why = gdal_error();
+  if (package && why.find("integer overflow") != std::string::npos)
+    throw IoError(path.string() +
+                  ": holds views, expected tables alone; ogr2ogr makes one of a view");
+  throw IoError(path.string() +
+                ": not a vector file that can be read, expected GeoJSON, GeoPackage, a shapefile "
+                "or alike; " +
+                why);
 }
 
 }  // namespace
 
 bool is_vector_file(const fs::path& path) {
-  std::vector<std::string> names = vector_drivers();
-  std::vector<const char*> list;
-  for (const std::string& n : names) list.push_back(n.c_str());
-  list.push_back(nullptr);
+  const std::vector<std::string> names = vector_drivers();
   const std::string name = path.string();
   return !name.starts_with("/vsi") &&
-         GDALIdentifyDriverEx(name.c_str(), GDAL_OF_VECTOR, list.data(), nullptr) != nullptr;
+         GDALIdentifyDriverEx(name.c_str(), GDAL_OF_VECTOR, list_of(names).data(), nullptr) !=
+             nullptr;
 }
 
 std::vector<double> Area::crossings(double northing) const {
@@ -181,27 +283,17 @@ Area area_of_box(const std::array<double, 4>& box, const UtmZone& zone) {
   return area;
 }
 
-Area read_area(const fs::path& path, const UtmZone& zone) {
+Area read_area(const fs::path& path, const UtmZone& zone, const std::function<void()>& poll) {
   const GdalScope scope;
-  require_file(path, "a vector file of polygons");
-  std::vector<std::string> names = vector_drivers();
-  std::vector<const char*> list;
-  for (const std::string& n : names) list.push_back(n.c_str());
-  list.push_back(nullptr);
-  const unsigned flags = GDAL_OF_VECTOR | GDAL_OF_READONLY | GDAL_OF_VERBOSE_ERROR;
-  const DatasetPtr d(GDALDataset::FromHandle(
-      GDALOpenEx(path.string().c_str(), flags, list.data(), nullptr, nullptr)));
-  if (!d)
-    throw IoError(path.string() +
-                  ": not a vector file that can be read, expected GeoJSON, GeoPackage, a shapefile "
-                  "or alike; " +
-                  gdal_error());
+  const DatasetPtr d = open_vector(path);
   OGRSpatialReference wanted;
   if (wanted.importFromEPSG(zone.epsg()) != OGRERR_NONE)
     throw Error("EPSG:" + std::to_string(zone.epsg()) + ": not known to GDAL, expected UTM");
   wanted.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
   Area area;
-  if (const auto all = polygons_of(path, *d, wanted)) add_rings(area, *all);
+  const auto all = polygons_of(path, *d, wanted, poll);
+  check_requests(path);
+  if (all) add_rings(area, *all);
   if (area.rings.empty())
     throw IoError(path.string() + ": no polygon, expected at least one around the ground");
   return area;

@@ -5,6 +5,7 @@
 
 #include <array>
 #include <filesystem>
+#include <functional>
 #include <vector>
 
 namespace satsurf::rpc {
@@ -27,11 +28,13 @@ struct Area {
 /// throws  ConfigError for a box that is empty, wider than 10 degrees or not on the Earth
 Area area_of_box(const std::array<double, 4>& box, const UtmZone& zone);
 
-/// All polygons of a vector file (GeoJSON, GeoPackage, shapefile, KML, FlatGeobuf, GML or another of
-/// GDAL's formats that SATSURF_GDAL_DRIVERS in the environment names), whatever their reference
-/// system.
+/// All polygons of a vector file (GeoJSON, GeoPackage, shapefile, KML, FlatGeobuf or another of GDAL's
+/// formats that SATSURF_GDAL_DRIVERS in the environment names), whatever their reference system.
 /// zone    of the result
-/// throws  IoError for a file that is none, has no polygon, or names no reference system
-Area read_area(const std::filesystem::path& path, const UtmZone& zone);
+/// poll    called now and then; what it throws ends the reading
+/// throws  IoError for a file that is none, has no polygon, names no reference system, or has more than
+///         100,000 features, 20,000 rings or 200,000 corners; for a GeoPackage with views
+Area read_area(const std::filesystem::path& path, const UtmZone& zone,
+               const std::function<void()>& poll = {});
 
 }  // namespace satsurf::rpc

@@ -37,6 +37,17 @@ std::string wkt_of(const OGRSpatialReference& crs) {
   return wkt;
 }
 
+/// PROJ's words for an area of use, of those that fill a page the first ones.
+/// name  may be null
+std::string place_text(const char* name) {
+  constexpr std::size_t kMost = 500;  // lists of countries are shorter
+  if (name == nullptr) return "another place";
+  std::string text = name;
+  if (text.size() > kMost) return text.substr(0, text.rfind(' ', kMost)) + " ...";
+  if (text.ends_with('.')) text.pop_back();
+  return text;
+}
+
 }  // namespace
 
 ProjectedCrs projected_crs(const std::string& text) {
@@ -77,13 +88,12 @@ void check_area_of_use(const ProjectedCrs& crs, double lon, double lat) {
   const double beside = passed <= width ? 0 : std::min(passed - width, 360 - passed);
   const double above = std::max({0.0, south - lat, lat - north});
   if (beside <= kBeyond && above <= kBeyond) return;
-  char text[300];
-  std::snprintf(
-      text, sizeof text,
-      "is for %.120s (lon %.1f to %.1f, lat %.1f to %.1f), the images lie at lon %.2f, lat "
-      "%.2f, expected a system for there",
-      name == nullptr ? "another place" : name, west, east, south, north, lon, lat);
-  throw ConfigError("crs: " + crs.label + " " + text);
+  char lies[200];
+  std::snprintf(lies, sizeof lies,
+                " (lon %.1f to %.1f, lat %.1f to %.1f), the images lie at lon %.2f, lat %.2f, "
+                "expected a system for there",
+                west, east, south, north, lon, lat);
+  throw ConfigError("crs: " + crs.label + " is for " + place_text(name) + lies);
 }
 
 }  // namespace satsurf::rpc

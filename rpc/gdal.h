@@ -14,6 +14,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include <cpl_conv.h>
@@ -24,34 +25,36 @@
 namespace satsurf::rpc {
 
 /// While one lives, this thread's GDAL prints nothing, keeps its last error for gdal_error(), and
-/// neither reads nor leaves .aux.xml files, and opens no remote ones. What the caller had set is
-/// restored.
+/// neither reads nor leaves .aux.xml files; whatever a file names, it asks nothing of a network and
+/// opens no pipe and no device. What the caller had set is restored.
 class GdalScope {
  public:
-  GdalScope() {
-    static const bool registered = (GDALAllRegister(), true);
-    static_cast<void>(registered);
-    if (const char* old = CPLGetThreadLocalConfigOption(kPam, nullptr)) pam_ = old;
-    CPLSetThreadLocalConfigOption(kPam, "NO");
-    if (const char* old = CPLGetThreadLocalConfigOption(kRemote, nullptr)) remote_ = old;
-    CPLSetThreadLocalConfigOption(kRemote, "none");
-    CPLPushErrorHandler(CPLQuietErrorHandler);
-    CPLErrorReset();
-  }
-  ~GdalScope() {
-    CPLPopErrorHandler();
-    CPLSetThreadLocalConfigOption(kPam, pam_ ? pam_->c_str() : nullptr);
-    CPLSetThreadLocalConfigOption(kRemote, remote_ ? remote_->c_str() : nullptr);
-  }
+  GdalScope();
+  ~GdalScope();
   GdalScope(const GdalScope&) = delete;
   GdalScope& operator=(const GdalScope&) = delete;
 
  private:
-  static constexpr const char* kPam = "GDAL_PAM_ENABLED";
-  /// The one remote file that may be opened.
-  static constexpr const char* kRemote = "CPL_VSIL_CURL_ALLOWED_FILENAME";
-  std::optional<std::string> pam_, remote_;
+  std::vector<std::pair<const char*, std::optional<std::string>>> before_;  ///< options
 };
+
+/// Refuses a file for which GDAL would have asked a network, in this thread's outermost GdalScope.
+/// path    of the file that is read
+/// throws  IoError
+void check_requests(const std::filesystem::path& path);
+
+/// Registers the drivers for what is read and written here and no others; once.
+void register_drivers();
+/// The drivers that may open rasters and vector files: those known here, and those of
+/// `trusted_drivers`.
+std::vector<std::string> raster_drivers();
+std::vector<std::string> vector_drivers();
+/// The driver that would open a raster, by the beginning of its file, whether it may or not; empty if
+/// none would.
+std::string format_of(const std::string& name);
+
+/// A list as GDAL takes them, ended by a null pointer. The texts stay with their owner.
+std::vector<const char*> list_of(const std::vector<std::string>& texts);
 
 /// GDAL's last message on one line.
 inline std::string gdal_error() {
@@ -74,9 +77,14 @@ using DatasetPtr = std::unique_ptr<GDALDataset, DatasetCloser>;
 /// throws  IoError naming the file
 DatasetPtr open_raster(const std::filesystem::path& path);
 
+/// Refuses a raster of a format that may not be opened, and one that names what is no file here where
+/// GDAL could not be kept from it. Needs a GdalScope.
+/// throws  IoError
+void check_format(const std::filesystem::path& path);
+
 /// Refuses a raster whose pixels cannot be in its file: one of some hundred bytes may claim any
-/// size, or blocks larger than itself, which are read whole. Up to 256 MiB are never refused, nor up
-/// to 100000 bytes for each of the file.
+/// size, or blocks larger than itself, which are read whole. Up to 16 MiB are never refused, nor up to
+/// 20000 bytes for each of the file.
 /// throws  IoError
 void check_content(const std::filesystem::path& path, GDALDataset& d);
 /// Refuses what the memory cannot hold: some systems promise any amount.

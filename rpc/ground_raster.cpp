@@ -2,6 +2,7 @@
 #include "satsurf/rpc/ground_raster.h"
 
 #include "satsurf/rpc/area.h"
+#include "satsurf/rpc/camera_check.h"
 #include "satsurf/rpc/gdal.h"
 #include "satsurf/rpc/geoid.h"
 
@@ -10,6 +11,8 @@
 #include <cstdlib>
 #include <mutex>
 #include <optional>
+#include <sstream>
+#include <utility>
 #include <vector>
 
 #include <ogr_spatialref.h>
@@ -25,6 +28,29 @@ struct Placed {
   DatasetPtr raster;  ///< before it in the order of destruction
   OGRSpatialReference crs;
 };
+
+/// Side of a raster's cell, about, m.
+double cell_of(const OGRSpatialReference& crs, GDALDataset& d) {
+  constexpr double kDegree = 111e3;  // m
+  std::array<double, 6> t{};
+  d.GetGeoTransform(t.data());
+  const double side = std::max(std::hypot(t[1], t[4]), std::hypot(t[2], t[5]));
+  return side * (crs.IsGeographic() ? kDegree : crs.GetLinearUnits());
+}
+
+/// throws  IoError for a raster that lies nowhere on the Earth
+void check_place(const fs::path& path, const Placed& at) {
+  constexpr double kFarthest = 1e8, kFinest = 1e-3;  // m; as of rasters that are read whole
+  std::array<double, 6> t{};
+  at.raster->GetGeoTransform(t.data());
+  const bool near = std::ranges::all_of(t, [](double v) { return std::abs(v) <= kFarthest; });
+  const double cell = cell_of(at.crs, *at.raster);
+  if (near && cell >= kFinest && cell <= kFarthest) return;
+  std::ostringstream text;
+  text << path.string() << ": a grid at (" << t[0] << ", " << t[3] << ") of cells of about " << cell
+       << " m, expected finite numbers of at most 1e8 and cells of 0.001 m or more";
+  throw IoError(text.str());
+}
 
 /// zone    of a raster of DFC2019, which has its place in a text file beside it and names no system
 /// throws  IoError
@@ -48,6 +74,7 @@ Placed open_placed(const fs::path& path, const UtmZone& zone) {
     out.crs = *crs;
   }
   out.crs.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+  check_place(path, out);
   return out;
 }
 
@@ -116,15 +143,6 @@ HeightRange lifted(const HeightRange& heights, const std::vector<Lifted>& by) {
   return out;
 }
 
-/// Side of a raster's cell, about, m.
-double cell_of(const OGRSpatialReference& crs, GDALDataset& d) {
-  constexpr double kDegree = 111e3;  // m
-  std::array<double, 6> t{};
-  d.GetGeoTransform(t.data());
-  const double side = std::max(std::hypot(t[1], t[4]), std::hypot(t[2], t[5]));
-  return side * (crs.IsGeographic() ? kDegree : crs.GetLinearUnits());
-}
-
 }  // namespace
 
 /// Polygons in the zone that was asked for last.
@@ -134,17 +152,28 @@ struct GroundMask::Polygons {
   std::optional<Area> area;
 };
 
-GroundMask::GroundMask(const fs::path& path) : path_(path) {
+GroundMask::GroundMask(const fs::path& path, std::vector<double> values)
+    : path_(path), values_(std::move(values)) {
   const GdalScope scope;
   require_file(path, "a raster or polygons");
   if (is_vector_file(path)) {
+    if (!values_.empty())
+      throw ConfigError("mask_values came for the polygons of " + path.string() +
+                        ", expected a raster");
     polygons_ = std::make_unique<Polygons>();
     return;
   }
-  open_placed(path, kAnyZone);
+  check_content(path, *open_placed(path, kAnyZone).raster);
 }
 
 GroundMask::~GroundMask() = default;
+
+bool GroundMask::covers(float value) const {
+  if (!std::isfinite(value)) return false;
+  return values_.empty() ? value != 0 : std::ranges::any_of(values_, [&](double v) {
+    return static_cast<float>(v) == value;
+  });
+}
 
 Tensor GroundMask::on(const GeoGrid& grid, Index height, Index width) const {
   Tensor out({height, width});
@@ -152,8 +181,7 @@ Tensor GroundMask::on(const GeoGrid& grid, Index height, Index width) const {
     const GdalScope scope;
     const Placed at = open_placed(path_, {grid.epsg % 100, grid.epsg / 100 == 326});
     const Tensor values = first_band_on(*at.raster, at.crs, grid, height, width, Sampled::nearest);
-    for (Index i = 0; i < out.count(); ++i)
-      out[i] = std::isfinite(values[i]) && values[i] != 0 ? 1.0F : 0.0F;
+    for (Index i = 0; i < out.count(); ++i) out[i] = covers(values[i]) ? 1.0F : 0.0F;
     return out;
   }
   const UtmZone zone{grid.epsg % 100, grid.epsg / 100 == 326};
@@ -176,6 +204,7 @@ Tensor GroundMask::on(const GeoGrid& grid, Index height, Index width) const {
 Terrain::Terrain(const fs::path& path) : path_(path) {
   const GdalScope scope;
   const Placed at = open_placed(path, kAnyZone);
+  check_content(path, *at.raster);
   const std::string unit = at.raster->GetRasterBand(1)->GetUnitType();
   for (const char* metre : {"", "m", "metre", "meter", "metres", "meters"})
     if (EQUAL(unit.c_str(), metre)) return;
@@ -211,6 +240,12 @@ TerrainHeights Terrain::over(const UtmZone& zone, const std::array<double, 4>& g
     found = joined(found, {static_cast<double>(low[i]), static_cast<double>(high[i])});
   }
   if (!(known > 0)) return out;
+  if (!on_earth(found)) {
+    std::ostringstream text;
+    text << path_.string() << ": heights from " << found.low << " to " << found.high
+         << " m, expected at most 1000 km either way";
+    throw IoError(text.str());
+  }
   out.covered = known / inside;
 
   const auto metadata = metadata_of(*d, "");

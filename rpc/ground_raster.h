@@ -9,16 +9,20 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <vector>
 
 namespace satsurf::rpc {
 
 /// Ground that is not wanted: the polygons of a vector file (see `read_area`), or the cells of a
-/// raster that are neither 0 nor nodata; water and clouds, say. Of any reference system; a raster
+/// raster that have one of some values, else those that are neither 0 nor nodata; water and clouds,
+/// say. Of any reference system; a raster
 /// of DFC2019, with its grid in a text file beside it, lies in the zone that is asked for.
 class GroundMask {
  public:
-  /// throws  IoError for a file that is neither, names no reference system or has no place
-  explicit GroundMask(const std::filesystem::path& path);
+  /// values  of a raster that are not wanted, e.g. of its classes; none for all but 0 and nodata
+  /// throws  IoError for a file that is neither, names no reference system or has no place;
+  ///         ConfigError for values of polygons
+  explicit GroundMask(const std::filesystem::path& path, std::vector<double> values = {});
   ~GroundMask();
   GroundMask(const GroundMask&) = delete;
   GroundMask& operator=(const GroundMask&) = delete;
@@ -28,10 +32,14 @@ class GroundMask {
   /// returns        [height width] 1 where the middle of a cell is not wanted, else 0
   /// throws         IoError; Error where PROJ knows no way into the zone
   Tensor on(const GeoGrid& grid, Index height, Index width) const;
+  const std::filesystem::path& path() const { return path_; }
 
  private:
   struct Polygons;
+  bool covers(float value) const;
+
   std::filesystem::path path_;
+  std::vector<double> values_;
   std::unique_ptr<Polygons> polygons_;  ///< nothing for a raster
 };
 

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/files.h"
+#include "satsurf/rpc/camera_check.h"
 #include "satsurf/rpc/gdal.h"
 
 #include <algorithm>
@@ -48,13 +49,16 @@ fs::path dfc_grid_path(const fs::path& path) {
   return path.parent_path() / (stem + ".txt");
 }
 
-/// throws  IoError for a grid that lies nowhere on the Earth
+/// throws  IoError for a grid that lies nowhere on the Earth, or whose cells are smaller than any sensor's
 void check_place(const fs::path& path, double x, double y, double step) {
-  constexpr double kFarthest = 1e8;  // m; twice round the Earth
-  if (std::abs(x) <= kFarthest && std::abs(y) <= kFarthest && !(step > kFarthest)) return;
+  constexpr double kFarthest = 1e8, kFinest = 1e-3;  // m; twice round the Earth
+  // What is 0 or below is told by those who know how the file says it.
+  if (std::abs(x) <= kFarthest && std::abs(y) <= kFarthest && !(step > kFarthest) &&
+      !(step > 0 && step < kFinest))
+    return;
   std::ostringstream text;
   text << path.string() << ": a grid at (" << x << ", " << y << ") of cells of " << step
-       << " m, expected finite numbers of at most 1e8 m";
+       << " m, expected finite numbers of at most 1e8 m and cells of 0.001 m or more";
   throw IoError(text.str());
 }
 
@@ -157,6 +161,19 @@ GeoRaster read_geo_raster(const fs::path& path, const std::optional<UtmZone>& zo
     out.tags.software = text.mapped();
   out.tags.heights = heights_of(d->GetSpatialRef(), out.tags.metadata);
   return out;
+}
+
+void require_heights(const fs::path& path, const Tensor& values) {
+  const Index W = values.dim(values.rank() - 1), H = values.dim(values.rank() - 2);
+  for (Index i = 0; i < values.count(); ++i) {
+    const auto h = static_cast<double>(values[i]);
+    if (std::isnan(h) || on_earth({h, h})) continue;
+    std::ostringstream text;
+    text << path.string() << ": a height of " << h << " m in column " << i % W << ", row "
+         << i / W % H
+         << ", expected at most 1000 km either way; nodata that the file does not declare?";
+    throw IoError(text.str());
+  }
 }
 
 GeoRaster read_reduced_raster(const fs::path& path, Index factor) {

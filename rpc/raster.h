@@ -110,6 +110,12 @@ struct GeoRaster {
 GeoRaster read_geo_raster(const std::filesystem::path& path,
                           const std::optional<UtmZone>& zone = {});
 
+/// Refuses what is no height on the Earth: more than 1000 km above the ellipsoid or below it. NaN is none
+/// at all, and may be there.
+/// path    of the file they come from
+/// throws  IoError naming the first such cell
+void require_heights(const std::filesystem::path& path, const Tensor& values);
+
 /// The same with the means of square blocks of cells for cells, read a row of blocks at a time: of the
 /// blocks at the eastern and southern end what there is. Unknown cells do not count.
 /// factor  side of a block, cells

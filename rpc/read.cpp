@@ -4,6 +4,8 @@
 #include "satsurf/core/dims.h"
 #include "satsurf/core/files.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/rpc/fit.h"
+#include "satsurf/rpc/frame.h"
 #include "satsurf/rpc/gdal.h"
 
 #include <algorithm>
@@ -76,6 +78,27 @@ std::pair<float, float> stretch_of(const Image& image, const std::array<Index, 3
   return {low, high};
 }
 
+/// Refuses a camera that sees no ground from its own image, among several that would only be known by
+/// the camera's complaint.
+/// path    of the view
+/// throws  IoError
+void check_sight(const fs::path& path, const RasterInfo& info) {
+  const auto right = static_cast<double>(info.width) - 0.5,
+             below = static_cast<double>(info.height) - 0.5;
+  const Pixel middle{(right - 0.5) / 2, (below - 0.5) / 2};
+  const Rpc& rpc = *info.rpc;
+  try {
+    const Geodetic at = rpc.localize(middle, rpc.height_off);
+    const LocalFrame frame{utm_zone_of(at.lon, at.lat)};
+    view_geometry(pixel_jacobian(rpc, frame, frame.local_from_geodetic(at)));
+    for (const Pixel& corner :
+         {Pixel{-0.5, -0.5}, Pixel{right, -0.5}, Pixel{right, below}, Pixel{-0.5, below}})
+      rpc.localize(corner, rpc.height_off);
+  } catch (const Error& e) {
+    throw IoError(path.string() + ": its camera sees no ground; " + e.what());
+  }
+}
+
 /// Puts in what the JSON knows better, checks that it belongs to the image, and that there is a
 /// camera.
 void complete(RasterInfo& info, const ViewSource& source) {
@@ -97,7 +120,7 @@ void complete(RasterInfo& info, const ViewSource& source) {
     if (j.sun_azimuth_deg) info.sun_azimuth_deg = j.sun_azimuth_deg;
     if (j.acquisition_date) info.acquisition_date = j.acquisition_date;
   }
-  if (info.rpc) return;
+  if (info.rpc) return check_sight(path, info);
   std::string tried;
   for (const std::string& name : info.tried) tried += (tried.empty() ? "" : ", ") + name;
   throw IoError(path.string() + ": no camera (RPC), looked for " + tried);
@@ -138,6 +161,7 @@ Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info, const P
                   gdal_error());
 
   const auto mask = file_mask(path, d, bands, part);
+  check_requests(path);
   image.valid = Tensor::uninitialised({H, W});
   const Index count = ordered_reduce<Index>(N, Index{1} << 16, 0, [&](Index begin, Index end) {
     Index valid = 0;

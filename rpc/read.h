@@ -33,7 +33,8 @@ struct RasterInfo {
   /// Which channels are red, green and blue: by the bands' own colours; B G R N and C B G Y R RE N
   /// N2 of 4- and 8-band Maxar products that come with their metadata; else the first three.
   std::array<Index, 3> rgb_channels{0, 1, 2};
-  std::string crs;  ///< "EPSG:32617", WKT where no code is known, empty without one
+  std::string crs;        ///< "EPSG:32617", WKT where no code is known, empty without one
+  std::string local_crs;  ///< name of a system that is tied to no place on the Earth, then instead
   std::optional<std::array<double, 6>> geotransform;  ///< GDAL's order, corner of the first pixel
 };
 
@@ -55,6 +56,12 @@ struct PixelWindow {
 /// (NAME.RPB, NAME.XML, NAME_RPC.TXT, NAME.rpc, NAME.tif.aux.xml; RPC_NAME.XML beside IMG_NAME).
 /// throws  IoError
 RasterInfo read_info(const std::filesystem::path& path);
+
+/// Reads the pixels and forgets them: of up to 100 million all, of more the last row, which a file that
+/// was cut off lacks.
+/// path    of a raster
+/// throws  IoError naming what cannot be read
+void check_pixels(const std::filesystem::path& path);
 
 /// Pixels of type uint8, uint16, int16 or float32 (others are converted by GDAL). An alpha band is
 /// taken into `valid` and is not among the channels.
@@ -129,7 +136,8 @@ ViewSource find_view(const std::filesystem::path& path,
 
 /// The pixels and the camera. The raster is opened once, and its camera is asked for before its
 /// pixels.
-/// throws  IoError without a camera, naming the file and where one was looked for
+/// throws  IoError without a camera, naming the file and where one was looked for; for a camera that sees no
+///         ground from its image
 Image open_view(const ViewSource& source);
 /// As `open_view(find_view(path, image_dirs))`.
 Image open_view(const std::filesystem::path& path,

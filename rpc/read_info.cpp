@@ -213,7 +213,11 @@ RasterInfo info_of(const fs::path& path, GDALDataset& d) {
   if (d.GetGeoTransform(transform.data()) == CE_None &&
       transform != std::array<double, 6>{0, 1, 0, 0, 0, 1})
     info.geotransform = transform;
-  if (const OGRSpatialReference* crs = d.GetSpatialRef()) {
+  const OGRSpatialReference* crs = d.GetSpatialRef();
+  if (crs != nullptr && crs->IsLocal()) {
+    const char* name = crs->GetName();
+    info.local_crs = name == nullptr ? "unnamed" : name;
+  } else if (crs != nullptr) {
     const char* code = crs->GetAuthorityCode(nullptr);
     char* wkt = nullptr;
     if (code)
@@ -224,6 +228,35 @@ RasterInfo info_of(const fs::path& path, GDALDataset& d) {
   }
   info.rgb_channels = rgb_channels(d, bands, domains[1]);
   return info;
+}
+
+void check_pixels(const fs::path& path) {
+  constexpr double kMostPixels = 1e8;
+  const GdalScope scope;
+  // else the rest of a JPEG that was cut off is grey
+  const CPLConfigOptionSetter strict("GDAL_ERROR_ON_LIBJPEG_WARNING", "YES", true);
+  const DatasetPtr d = open_raster(path);
+  check_content(path, *d);
+  const int width = d->GetRasterXSize(), height = d->GetRasterYSize();
+  std::vector<int> bands = colour_bands(*d);
+  const bool all = static_cast<double>(width) * static_cast<double>(height) <= kMostPixels;
+  int block_width = 0, block_height = 0;
+  if (!bands.empty()) d->GetRasterBand(bands[0])->GetBlockSize(&block_width, &block_height);
+  // Whole blocks at a time, as far as they take little memory.
+  constexpr double kMostValues = 16e6;
+  const double row = static_cast<double>(width) * static_cast<double>(bands.size());
+  const int rows =
+      std::clamp(std::min(block_height, static_cast<int>(kMostValues / row)), 1, height);
+  std::vector<float> pixels(bands.size() * static_cast<std::size_t>(width) *
+                            static_cast<std::size_t>(all ? rows : 1));
+  for (int y = all ? 0 : height - 1; y < height; y += rows) {
+    const int n = all ? std::min(rows, height - y) : 1;
+    CPLErrorReset();
+    if (d->RasterIO(GF_Read, 0, y, width, n, pixels.data(), width, n, GDT_Float32,
+                    static_cast<int>(bands.size()), bands.data(), 0, 0, 0, nullptr) != CE_None)
+      throw IoError(path.string() + ": the pixels cannot be read from row " + std::to_string(y) +
+                    " on, expected a whole file; " + gdal_error());
+  }
 }
 
 RasterInfo read_info(const fs::path& path) {

@@ -146,6 +146,7 @@ Found find_files(const fs::path& folder, const std::string& name) {
   found.truth_file = files.dsm.empty() ? folder / (name + "_DSM.tif") : files.dsm;
   if (!path_exists(files.dsm)) return found;
   found.truth = read_one_band(files.dsm, found.zone);
+  rpc::require_heights(files.dsm, found.truth->values);
   if (path_exists(files.classes)) {
     const rpc::GeoRaster c = read_one_band(files.classes, found.zone);
     check_same_grid(files.classes, c, files.dsm, *found.truth);

@@ -280,24 +280,26 @@ rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& s
   std::vector<char> believed(static_cast<std::size_t>(P));
   for (Index i = 0; i < P; ++i)
     believed[static_cast<std::size_t>(i)] = best[i] >= kAgreement && best[i] - rival[i] >= kUnique;
+  Index masked = 0;
   for (Index i = 0; i < P && unwanted; ++i) {
     if (!believed[static_cast<std::size_t>(i)]) continue;
     const rpc::Pixel pixel{(static_cast<double>(i % W) + 0.5) * f - 0.5,
                            (static_cast<double>(i / W) + 0.5) * f - 0.5};
     const auto p = scene.frame.local_from_geodetic(
         reference.rpc.localize(pixel, static_cast<double>(where[i]) + scene.frame.h0));
-    if (unwanted(p[0], p[1])) believed[static_cast<std::size_t>(i)] = 0;
+    if (unwanted(p[0], p[1])) believed[static_cast<std::size_t>(i)] = 0, ++masked;
   }
   std::vector<float> heights = heights_of_patches(where, believed, H, W, static_cast<float>(peak));
   if (static_cast<Index>(heights.size()) < kFewest) {
-    char text[160];
-    std::snprintf(
-        text, sizeof text,
-        "%zu windows agree at any height from %.0f to %.0f m, expected %td or more; do the "
-        "cameras belong to the images?",
-        heights.size(), scene.frame.heights_from_z(searched).low,
-        scene.frame.heights_from_z(searched).high, kFewest);
-    throw Error(names_of(scene) + ": " + text);
+    char text[120];
+    std::snprintf(text, sizeof text,
+                  "%zu windows agree at any height from %.0f to %.0f m, expected %td or more",
+                  heights.size(), scene.frame.heights_from_z(searched).low,
+                  scene.frame.heights_from_z(searched).high, kFewest);
+    const std::string why = masked >= kFewest ? ", " + std::to_string(masked) +
+                                                    " more do under --mask; give a height range"
+                                              : "; do the cameras belong to the images?";
+    throw Error(names_of(scene) + ": " + text + why);
   }
   const rpc::HeightRange found = believable_span(std::move(heights), searched);
   return {found.low - kMargin, found.high + kMargin + kTower * found.span()};

@@ -15,7 +15,7 @@ namespace satsurf::scene {
 /// How well the cameras of a scene agree, and shifts that make them agree better.
 struct Pointing {
   std::vector<std::string> names;    ///< of the views
-  std::vector<std::string> marks{};  ///< of their cameras as they came, see `camera_mark`
+  std::vector<std::string> marks{};  ///< of their cameras as they came, see `camera_mark`; or empty
   std::vector<rpc::Pixel> shifts;    ///< to add to where each camera sees a point, px; mean zero
   std::vector<rpc::ShiftSlope> slopes{};  ///< what these change by within the images; or empty
   std::vector<PairResidual> before;       ///< every pair with the cameras as they came

@@ -67,8 +67,8 @@ void write_pointing(const std::filesystem::path& path, const Pointing& pointing)
   for (std::size_t i = 0; i < pointing.names.size(); ++i) {
     Json& image = images.emplace_back(Json{{"name", pointing.names[i]},
                                            {"shift_x", pointing.shifts[i].x},
-                                           {"shift_y", pointing.shifts[i].y},
-                                           {"camera", pointing.marks[i]}});
+                                           {"shift_y", pointing.shifts[i].y}});
+    if (!pointing.marks.empty()) image["camera"] = pointing.marks[i];
     if (pointing.slopes.empty()) continue;
     const auto& [at, per_pixel] = pointing.slopes[i];
     image["at"] = {at.x, at.y};

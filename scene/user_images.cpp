@@ -210,6 +210,40 @@ std::function<bool(double, double)> under_mask(const rpc::GroundMask& mask, cons
   };
 }
 
+/// throws  Error for a mask that leaves hardly any of the ground that two views see
+/// ground  of each view
+void check_mask(const rpc::GroundMask& mask, const std::vector<Polygon>& ground,
+                const rpc::UtmZone& zone) {
+  constexpr double kCells = 256;        // a side
+  constexpr double kLeastShare = 0.01;  // of the ground
+  std::vector<Polygon> shared;
+  for (std::size_t i = 0; i < ground.size(); ++i)
+    for (std::size_t j = i + 1; j < ground.size(); ++j)
+      if (Polygon both = intersect(ground[i], ground[j]); !both.empty())
+        shared.push_back(std::move(both));
+  const std::array<double, 4> all = around(shared);
+  const double step = std::max(all[2] - all[0], all[3] - all[1]) / kCells;
+  if (!(step > 0)) return;
+  const auto H = std::max<Index>(1, std::lround((all[3] - all[1]) / step)),
+             W = std::max<Index>(1, std::lround((all[2] - all[0]) / step));
+  const Tensor covered = mask.on({zone.epsg(), all[0], all[3], step}, H, W);
+  double seen = 0, left = 0;
+  for (Index i = 0; i < H * W; ++i) {
+    const double x = all[0] + (static_cast<double>(i % W) + 0.5) * step,
+                 y = all[3] - (static_cast<double>(i / W) + 0.5) * step;
+    if (std::ranges::none_of(shared, [&](const Polygon& p) { return contains(p, x, y); })) continue;
+    seen += 1, left += covered[i] > 0 ? 0 : 1;
+  }
+  if (left >= kLeastShare * seen) return;
+  char text[240];
+  std::snprintf(text, sizeof text,
+                "the mask leaves %.2g %% of the ground that two images see, expected 1 %% or more; "
+                "--mask takes away all cells of a raster but those of 0 and nodata, --mask-values "
+                "those of some values",
+                100 * left / seen);
+  throw Error(mask.path().string() + ": " + text);
+}
+
 /// The heights that comparing the images finds. The first view is compared with the others that see
 /// its ground, and so is every further one that sees hardly any ground of those before it.
 /// ground  of each view
@@ -394,6 +428,7 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
                 "they share; give a height range");
   scene.frame.h0 = std::round(first.middle());
   scene.name = scene.views[0].name;
+  if (rules_.mask) check_mask(*rules_.mask, ground, scene.frame.zone);
 
   if (const PointingChoice& pointing = rules_.pointing; pointing.given || pointing.measure) {
     out.pointing = pointing.given ? given_pointing(scene.views, *pointing.given, first, poll)

@@ -68,13 +68,29 @@ class Reader {
     if (!in_.is_open()) fail("cannot be opened");
   }
 
-  /// Where the rows begin and how many there are, of a file with exactly these properties.
-  template <std::size_t N>
-  std::pair<std::uintmax_t, std::uintmax_t> rows_like(const std::array<const char*, N>& names) {
+  /// How many surfels a file holds that has exactly the properties of `write_ply`.
+  std::uintmax_t count_alike() {
     read_header();
-    if (!std::equal(properties_.begin(), properties_.end(), names.begin(), names.end()))
+    if (!std::equal(properties_.begin(), properties_.end(), kNames.begin(), kNames.end()))
       fail("other properties, expected those that write_ply writes");
-    return {static_cast<std::uintmax_t>(in_.tellg()), count_};
+    check_size();
+    return count_;
+  }
+
+  /// Copies the surfels of such a file, of which every number is checked.
+  void copy_to(std::ostream& out) {
+    constexpr std::uintmax_t kTogether = 1 << 14;  // surfels; some 1 MB
+    std::vector<float> rows;
+    for (std::uintmax_t p = 0; p < count_;) {
+      const std::uintmax_t n = std::min(kTogether, count_ - p);
+      rows.resize(n * kNames.size());
+      const auto bytes = static_cast<std::streamsize>(rows.size() * sizeof(float));
+      if (!in_.read(reinterpret_cast<char*>(rows.data()), bytes))
+        fail("vertex " + std::to_string(p) + " cannot be read");
+      for (const float* row = rows.data(); row != rows.data() + rows.size(); row += kNames.size())
+        check_row(static_cast<Index>(p++), row);
+      out.write(reinterpret_cast<const char*>(rows.data()), bytes);
+    }
   }
 
   PlyContent read() {
@@ -88,16 +104,7 @@ class Reader {
       if (!column[n] && !optional)
         fail(std::string("property ") + kNames[n] + " is missing, expected all of a splat's");
     }
-    const auto at = static_cast<std::uintmax_t>(in_.tellg());
-    const std::uintmax_t want = count_ * properties_.size() * sizeof(float);
-    std::error_code error;
-    const std::uintmax_t size = std::filesystem::file_size(path_, error);
-    if (error) fail("its size is unknown: " + error.message());
-    if (size < at || size - at != want)
-      fail(std::to_string(size - at) + " bytes behind the header, expected " +
-           std::to_string(want) + " for " + std::to_string(count_) + " vertices of " +
-           std::to_string(properties_.size()) + " floats");
-
+    check_size();
     const auto P = static_cast<Index>(count_);
     Tensor means({P, 3}), quats({P, 4}), scales({P, 2}), opacity({P}), colours({P, 3});
     std::vector<float> row(properties_.size());
@@ -107,9 +114,7 @@ class Reader {
         fail("vertex " + std::to_string(p) + " cannot be read");
       const auto value = [&](std::size_t property) {
         const double v = row[*column[property]];
-        if (!std::isfinite(v))
-          fail(std::string("property ") + kNames[property] + " of vertex " + std::to_string(p) +
-               " is " + std::to_string(v) + ", expected a finite number");
+        check_finite(p, property, v);
         return v;
       };
       const auto fill = [&](Tensor& t, Index n, std::size_t first, auto&& meaning) {
@@ -128,6 +133,34 @@ class Reader {
  private:
   [[noreturn]] void fail(const std::string& what) const {
     throw IoError("read_ply: " + path_.string() + ": " + what);
+  }
+
+  /// throws  IoError unless the file goes on for as long as the header says
+  void check_size() {
+    const auto at = static_cast<std::uintmax_t>(in_.tellg());
+    const std::uintmax_t want = count_ * properties_.size() * sizeof(float);
+    std::error_code error;
+    const std::uintmax_t size = std::filesystem::file_size(path_, error);
+    if (error) fail("its size is unknown: " + error.message());
+    if (size < at || size - at != want)
+      fail(std::to_string(size - at) + " bytes behind the header, expected " +
+           std::to_string(want) + " for " + std::to_string(count_) + " vertices of " +
+           std::to_string(properties_.size()) + " floats");
+  }
+
+  void check_finite(Index p, std::size_t property, double v) const {
+    if (!std::isfinite(v))
+      fail(std::string("property ") + kNames[property] + " of vertex " + std::to_string(p) +
+           " is " + std::to_string(v) + ", expected a finite number");
+  }
+
+  /// Refuses a row of all properties that `read` would refuse.
+  void check_row(Index p, const float* row) const {
+    for (std::size_t n = 0; n < kNames.size(); ++n) check_finite(p, n, static_cast<double>(row[n]));
+    const auto scale = [&](std::size_t n) {
+      return static_cast<float>(std::exp(static_cast<double>(row[kScale + n])));
+    };
+    check(p, row + kMean, row + kQuat, std::array{scale(0), scale(1)}.data());
   }
 
   /// Refuses what can be written down but is no surfel.
@@ -283,39 +316,33 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
   });
 }
 
-void join_ply(const std::filesystem::path& path, const std::vector<std::filesystem::path>& parts,
-              const std::vector<std::string>& comments) {
-  constexpr std::size_t kRow = kNames.size() * sizeof(float);
-  const auto fail = [](const std::filesystem::path& file, const std::string& what) {
-    throw IoError("join_ply: " + file.string() + ": " + what);
-  };
-  std::uintmax_t count = 0;
-  std::vector<std::uintmax_t> begins;
+std::vector<Index> join_ply(const std::filesystem::path& path,
+                            const std::vector<std::filesystem::path>& parts,
+                            const std::vector<std::string>& comments) {
+  std::vector<Index> counts;
+  std::uintmax_t all = 0;
   for (const std::filesystem::path& part : parts) {
-    Reader reader(part);
-    const auto [begin, rows] = reader.rows_like(kNames);
-    std::error_code error;
-    if (std::filesystem::file_size(part, error) != begin + rows * kRow || error)
-      fail(part, "is cut short, expected " + std::to_string(rows) + " surfels");
-    begins.push_back(begin), count += rows;
+    const std::uintmax_t count = Reader(part).count_alike();
+    counts.push_back(static_cast<Index>(count)), all += count;
   }
   std::filesystem::path work = path;
   work += ".part";
   std::ofstream out(work, std::ios::binary | std::ios::trunc);
-  out << header_of(path, count, comments, false);
-  std::vector<char> block(std::size_t{1} << 20);
-  for (std::size_t k = 0; k < parts.size(); ++k) {
-    std::ifstream in(parts[k], std::ios::binary);
-    in.seekg(static_cast<std::streamoff>(begins[k]));
-    while (in.read(block.data(), static_cast<std::streamsize>(block.size())) || in.gcount() > 0)
-      out.write(block.data(), in.gcount());
-    if (!in.eof()) fail(parts[k], "cannot be read");
+  out << header_of(path, all, comments, false);
+  for (const std::filesystem::path& part : parts) {
+    Reader reader(part);  // one at a time: there may be more than files that may be open
+    reader.count_alike();
+    reader.copy_to(out);
   }
   out.close();
+  const auto fail = [](const std::filesystem::path& file, const std::string& what) {
+    throw IoError("join_ply: " + file.string() + ": " + what);
+  };
   std::error_code error;
   if (!out) fail(work, "cannot be written");
   std::filesystem::rename(work, path, error);
   if (error) fail(path, "cannot be put in its place (" + error.message() + ")");
+  return counts;
 }
 
 PlyContent read_ply(const std::filesystem::path& path) { return Reader(path).read(); }

@@ -29,9 +29,11 @@ void write_ply(const std::filesystem::path& path, const Surfels& surfels,
 /// Puts files of `write_ply` one behind the other, without reading them into memory.
 /// parts     files with all three scales; none makes a file without surfels
 /// comments  of the result
-/// throws    IoError, also for a part of another layout
-void join_ply(const std::filesystem::path& path, const std::vector<std::filesystem::path>& parts,
-              const std::vector<std::string>& comments);
+/// returns   how many surfels each part holds
+/// throws    IoError, also for a part of another layout or with a surfel that `read_ply` refuses
+std::vector<Index> join_ply(const std::filesystem::path& path,
+                            const std::vector<std::filesystem::path>& parts,
+                            const std::vector<std::string>& comments);
 
 /// Surfels, without gradients and auxiliary channels, and comment lines.
 struct PlyContent {

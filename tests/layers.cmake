@@ -14,7 +14,7 @@ set(may_train ${may_reconstruct} train)
 set(may_evaluate ${may_train} evaluate)
 set(may_app ${may_evaluate} app)
 set(may_bench ${may_reconstruct} bench)  # what lies above nn only in a build that has it
-set(readers rpc/gdal.h rpc/area.cpp rpc/crs.cpp rpc/geoid.cpp rpc/ground_raster.cpp rpc/read.cpp rpc/read_info.cpp rpc/read_rpc.cpp rpc/raster.cpp rpc/raster_open.cpp rpc/raster_write.cpp rpc/warp.cpp)  # the only ones that know GDAL
+set(readers rpc/gdal.h rpc/area.cpp rpc/crs.cpp rpc/drivers.cpp rpc/gdal_scope.cpp rpc/geoid.cpp rpc/ground_raster.cpp rpc/named_files.cpp rpc/read.cpp rpc/read_info.cpp rpc/read_rpc.cpp rpc/raster.cpp rpc/raster_open.cpp rpc/raster_write.cpp rpc/warp.cpp)  # the only ones that know GDAL
 
 cmake_minimum_required(VERSION 3.25)
 cmake_path(ABSOLUTE_PATH SOURCE NORMALIZE)

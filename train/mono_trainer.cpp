@@ -153,6 +153,7 @@ nn::Mono train(const MonoTrainConfig& config, const fs::path& data, std::uint64_
   if (config.crop % nn::kMonoMultiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +
                       ", expected a multiple of " + std::to_string(nn::kMonoMultiple));
+  check_crop_memory(config, 1);
   const auto scenes = training_scenes(data, 1, callbacks.reading);
   nn::Mono mono(config.mono, seed);
   MonoTask task(mono, config, scenes, seed);

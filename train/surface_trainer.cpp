@@ -206,6 +206,7 @@ nn::SurfaceModel train(const SurfaceTrainConfig& config, const fs::path& data, s
     throw ConfigError("train: task is " + enum_name(config.task) + ", expected surface");
   if (config.cascades.empty())
     throw ConfigError("train: no cascades, expected weights of at least one");
+  check_crop_memory(config, 2);
   std::vector<nn::Model> cascades;
   for (const fs::path& file : config.cascades) cascades.push_back(nn::load_model(file));
   nn::SurfaceModel network(config.surface, seed);

@@ -184,6 +184,7 @@ nn::Model train(const TrainConfig& config, const fs::path& data, std::uint64_t s
   if (config.crop % multiple != 0)
     throw ConfigError("train: crop is " + std::to_string(config.crop) +
                       ", expected a multiple of " + std::to_string(multiple));
+  check_crop_memory(config, config.views + 1);
   const bool resume = !checkpoint.empty();
   const bool branch = !resume && needs_branch(config);
   const fs::path mono = config.mono_weights.empty() ? config.mono_found : config.mono_weights;

@@ -3,6 +3,8 @@
 
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/fields_json.h"
+#include "satsurf/core/files.h"
+#include "satsurf/core/memory.h"
 #include "satsurf/core/version.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/running_mean.h"
@@ -106,6 +108,16 @@ double learning_rate(const TrainingSettings& settings, Index step) {
 
 }  // namespace
 
+void check_crop_memory(const TrainingSettings& settings, Index views) {
+  // Of a pixel: colours, mask and heights, and two dozen features of the first layer with their
+  // gradients.
+  constexpr double kBytes = 200;
+  const auto side = static_cast<double>(settings.crop);
+  check_memory("train: windows of " + std::to_string(settings.crop) + " px of " +
+                   std::to_string(views) + (views == 1 ? " image need" : " images need"),
+               kBytes * static_cast<double>(views) * side * side, "give a smaller crop");
+}
+
 StepLoss mean_of(const std::vector<StepLoss>& losses) {
   double total = 0;
   StepLoss out{{}, losses[0].terms};
@@ -154,7 +166,7 @@ void TrainingFolder::add(const StepReport& r) {
   if (!lines_.is_open()) {
     const fs::path file = folder_ / "train.jsonl";
     std::string kept;
-    if (r.step > 1) {
+    if (r.step > 1 && is_file(file)) {
       std::ifstream in(file);
       std::string line;
       for (Index n = 1; n < r.step && std::getline(in, line); ++n) kept += line + '\n';

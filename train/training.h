@@ -154,6 +154,11 @@ struct TrainingRun {
   std::size_t scenes = 0;              ///< trained on, for the files to tell
 };
 
+/// Refuses windows that the memory cannot hold with the smallest network, before anything is read.
+/// views   images that a window is cut from
+/// throws  Error
+void check_crop_memory(const TrainingSettings& settings, Index views);
+
 /// Optimises a network with AdamW and a one-cycle learning rate.
 /// task      the network and its objective
 /// settings  of the run

@@ -1,4 +1,13 @@
 'use strict';
+// Paper cannot be clicked: what is closed is printed open.
+(() => {
+  let closed = [];
+  addEventListener('beforeprint', () => {
+    closed = [...document.querySelectorAll('details:not([open])')];
+    closed.forEach((part) => part.open = true);
+  });
+  addEventListener('afterprint', () => closed.forEach((part) => part.open = false));
+})();
 // The surface as a grid of heights, drawn with WebGL alone. The address may preset the view:
 // report.html#turn=40&tilt=30&exaggeration=2&drape=heights
 (() => {
@@ -26,10 +35,20 @@
   for (let i = 0; i < W * H; ++i) quantised[i] = bytes[2 * i] | (bytes[2 * i + 1] << 8);
   const known = (i) => quantised[i] !== kUnknown;
   const z = (i) => grid.low + (grid.high - grid.low) * quantised[i] / 65534;
-  let sum = 0, count = 0;
-  for (let i = 0; i < W * H; ++i) if (known(i)) sum += z(i), ++count;
+  const dx = grid.east / W, dy = grid.north / H, unit = 2 / Math.hypot(grid.east, grid.north);
+  // It turns about the middle of what is known of it.
+  const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+  let count = 0;
+  for (let i = 0; i < W * H; ++i) {
+    if (!known(i)) continue;
+    ++count;
+    [(i % W + 0.5) * dx, -(Math.floor(i / W) + 0.5) * dy, z(i)].forEach((x, k) => {
+      low[k] = Math.min(low[k], x);
+      high[k] = Math.max(high[k], x);
+    });
+  }
   if (count === 0) return give_up();
-  const middle = sum / count, dx = grid.east / W, dy = grid.north / H, unit = 2 / Math.hypot(grid.east, grid.north);
+  const [east, north, middle] = low.map((x, k) => (x + high[k]) / 2);
 
   const vertices = new Float32Array(W * H * 7);  // x y z, slope east and north, place in the picture
   const height_near = (i, j, other) => (i >= 0 && i < H && j >= 0 && j < W && known(i * W + j) ? z(i * W + j) : other);
@@ -37,7 +56,7 @@
     for (let j = 0; j < W; ++j) {
       const at = i * W + j, here = known(at) ? z(at) : middle;
       vertices.set([
-        ((j + 0.5) * dx - grid.east / 2) * unit, (grid.north / 2 - (i + 0.5) * dy) * unit, (here - middle) * unit,
+        ((j + 0.5) * dx - east) * unit, (-(i + 0.5) * dy - north) * unit, (here - middle) * unit,
         (height_near(i, j + 1, here) - height_near(i, j - 1, here)) / (2 * dx),
         (height_near(i - 1, j, here) - height_near(i + 1, j, here)) / (2 * dy),
         (j + 0.5) / W, (i + 0.5) / H
@@ -123,16 +142,54 @@
   };
 
   // --- drawing -------------------------------------------------------------------------------------------------------
-  // Turned about the vertical, tilted towards the eye, moved away, in perspective; by columns, as WebGL has matrices.
+  // Turned about the vertical and tilted towards the eye: what x, y and z become.
+  const turned = ({turn, tilt}) => {
+    const a = turn * Math.PI / 180, b = (tilt - 90) * Math.PI / 180;
+    const c = Math.cos(a), s = Math.sin(a), C = Math.cos(b), S = Math.sin(b);
+    return [[c, C * s, S * s], [-s, C * c, S * c], [0, -S, C]];
+  };
+  const focal = 2.6;
+  const places = [];  // some thousand points of the surface
+  for (let i = 0, every = Math.ceil(count / 4000), n = 0; i < W * H; ++i)
+    if (known(i) && n++ % every === 0) places.push(vertices.subarray(7 * i, 7 * i + 3));
+  // How far away the eye is, and by how much the picture is moved in the window, so that the surface as it is first
+  // seen fills the window; turned it keeps this, for nothing shall swell and shrink while it turns.
+  let opening = {turn: state.turn, tilt: state.tilt};
+  const fit = (aspect) => {
+    const [X, Y, Z] = turned(opening), fx = focal / aspect, kFilled = 0.92;
+    const seen = places.map(([x, y, height]) => {
+      const up = height * state.exaggeration;
+      return [0, 1, 2].map((k) => X[k] * x + Y[k] * y + Z[k] * up);
+    });
+    const extent = (far) => {
+      const box = [Infinity, -Infinity, Infinity, -Infinity];
+      for (const [x, y, depth] of seen) {
+        const u = fx * x / (far - depth), v = focal * y / (far - depth);
+        box[0] = Math.min(box[0], u), box[1] = Math.max(box[1], u), box[2] = Math.min(box[2], v), box[3] = Math.max(box[3], v);
+      }
+      return box;
+    };
+    let near = Math.max(...seen.map((p) => p[2])) + 0.1, far = near + 40;
+    for (let step = 0; step < 24; ++step) {
+      const tried = (near + far) / 2, [left, right, bottom, top] = extent(tried);
+      if (Math.max(right - left, top - bottom) / 2 <= kFilled) far = tried;
+      else near = tried;
+    }
+    const [left, right, bottom, top] = extent(far);
+    return {far, aside: -(left + right) / 2, lift: -(bottom + top) / 2};
+  };
+  let fitted = {for: ''};
+  // Moved away, in perspective; by columns, as WebGL has matrices.
   const camera = (aspect) => {
-    const turn = state.turn * Math.PI / 180, tilt = (state.tilt - 90) * Math.PI / 180, focal = 2.6;
-    const c = Math.cos(turn), s = Math.sin(turn), C = Math.cos(tilt), S = Math.sin(tilt);
-    const far = 2.4 * Math.max(1, 1.15 / aspect) / state.near, front = 0.02, back = far + 8;
+    const wish = [aspect, state.exaggeration, opening.turn, opening.tilt].join();
+    if (fitted.for !== wish) fitted = {for: wish, ...fit(aspect)};
+    const far = fitted.far / state.near, front = 0.02, back = far + 8;
     const fx = focal / aspect, p = (back + front) / (front - back), q = 2 * back * front / (front - back);
-    const column = (x, y, depth, w) => [fx * x, focal * y, p * depth + q * w, -depth];
-    return new Float32Array([
-      ...column(c, C * s, S * s, 0), ...column(-s, C * c, S * c, 0), ...column(0, -S, C, 0), ...column(0, 0, -far, 1)
-    ]);
+    const column = (x, y, depth, w) =>
+        [fx * x - fitted.aside * depth, focal * y - fitted.lift * depth, p * depth + q * w, -depth];
+    const [x, y, height] = turned(state);
+    return new Float32Array(
+        [...column(...x, 0), ...column(...y, 0), ...column(...height, 0), ...column(0, 0, -far, 1)]);
   };
   let asked = false;
   const draw = () => {
@@ -210,6 +267,7 @@
   });
   byId('reset').addEventListener('click', () => {
     Object.assign(state, start);
+    opening = {turn: start.turn, tilt: start.tilt};
     redraw();
   });
   canvas.addEventListener('webglcontextlost', give_up);

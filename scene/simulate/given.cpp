@@ -289,6 +289,7 @@ GivenSurface read_surface(const std::filesystem::path& dsm, const std::filesyste
   rpc::GeoRaster heights = rpc::read_geo_raster(dsm, unnamed);
   Dims dim("surface");
   dim.match("heights", heights.values, "H W");
+  rpc::require_heights(dsm, heights.values);
   GivenSurface surface{.z = heights.values, .classes = {}, .grid = heights.grid, .zone = unnamed};
   const int epsg = heights.grid.epsg;
   const auto in = [&](int first, bool north) {

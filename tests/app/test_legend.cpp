@@ -45,6 +45,27 @@ TEST_CASE("a legend leaves the map as and where it is") {
   CHECK(small[19 * small.dim(2) + 20] == 1.F);
 }
 
+TEST_CASE("ends of a scale that stand for what lies beyond are pointed and have its colour") {
+  ColourScale scale{"m", 0, 1, true, false, {{1.F, 0.F, 0.F}, {0.F, 0.F, 1.F}}};
+  const auto coloured_at =
+      [&](Index x) {  // cells of the strip's column that are neither ink nor paper
+        const Tensor out = with_legend(Tensor({3, 10, 200}, 0.5F), &scale, 0.5);
+        Index cells = 0;
+        for (Index i = 10; i < out.dim(1); ++i) {
+          const float red = out[i * out.dim(2) + x], green = out[(out.dim(1) + i) * out.dim(2) + x];
+          cells += green == 0.F && red > 0.9F;
+        }
+        return cells;
+      };
+  CHECK(coloured_at(6) == 8);  // the scale
+  CHECK(coloured_at(5) == 8);
+  CHECK(coloured_at(3) < 8);
+  CHECK(coloured_at(3) > 0);
+  CHECK(coloured_at(0) == 0);
+  scale.below = false;
+  CHECK(coloured_at(5) == 0);
+}
+
 TEST_CASE("the scale bar is as long as it says") {
   const Tensor out =
       with_legend(Tensor({3, 10, 600}, 0.5F), nullptr, 0.5);  // 300 m: 50 m is a third

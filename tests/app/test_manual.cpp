@@ -63,6 +63,8 @@ TEST_CASE("what was meant is named") {
       program.app.parse(line);
     } catch (const CLI::ExtrasError&) {
       return unexpected_arguments(program, program.app.remaining(true));
+    } catch (const CLI::ArgumentMismatch& e) {
+      return missing_value(program, e.what());
     }
     return std::string("no error");
   };
@@ -72,6 +74,12 @@ TEST_CASE("what was meant is named") {
   CHECK(refused({"reconstruct", "a.tif", "--colour=3"}) ==
         "reconstruct: unknown flag --colour; see satsurf help reconstruct");
   CHECK(refused({"help", "info", "render"}) == "help: unexpected render; see satsurf help help");
+  CHECK(refused({"help", "--completion"}) ==
+        "help: --completion came without a value, expected bash");
+  CHECK(refused({"reconstruct", "a.tif", "--report"}) ==
+        "reconstruct: --report came without a value, expected one of html, none");
+  CHECK(refused({"reconstruct", "a.tif", "--out"}) ==
+        "reconstruct: --out came without a value, expected DIR");
   CHECK(with_flag("a.json: no image; name its folder", true).ends_with(" with --image-dir"));
   CHECK(with_flag("a.json: no image; name its folder", false).ends_with(" its folder"));
   CHECK(with_flag("a.pgm: of the format PNM; SATSURF_GDAL_DRIVERS=PNM in the environment allows it",

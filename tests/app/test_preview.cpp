@@ -41,6 +41,30 @@ TEST_CASE("pictures: higher is brighter, unknown is grey") {
   CHECK(luminance(flat, 0) == luminance(flat, 5));
 }
 
+TEST_CASE("stretched_picture: a dark picture becomes legible, channels keep to one another") {
+  Tensor dark({3, 10, 10});
+  for (Index i = 0; i < 300; ++i) dark[i] = 0.02F + 0.0005F * static_cast<float>(i);
+  dark[7] = kNan;
+  const Tensor out = stretched_picture(dark);
+  CHECK(std::isnan(out[7]));
+  CHECK(out[0] == 0.F);
+  CHECK(out[299] == 1.F);
+  CHECK(out[150] == doctest::Approx(0.5).epsilon(0.02));
+  const Tensor flat = stretched_picture(Tensor({3, 2, 2}, 0.3F));
+  CHECK(flat[0] == 0.F);
+  CHECK(stretched_picture(Tensor::from({3, 1, 1}, {0.30F, 0.31F, 0.30F}))[1] < 0.5F);  // no noise
+  CHECK(std::isnan(stretched_picture(Tensor({3, 1, 1}, kNan))[0]));
+}
+
+TEST_CASE("count_colours: those of the picture") {
+  const auto colours = count_colours(3);
+  REQUIRE(colours.size() == 4);
+  const Tensor picture = count_picture(Tensor::from({1, 4}, {0, 1, 2, 3}), 3);
+  for (Index n = 0; n < 4; ++n)
+    for (std::size_t c = 0; c < 3; ++c)
+      CHECK(picture[static_cast<Index>(c) * 4 + n] == colours[static_cast<std::size_t>(n)][c]);
+}
+
 TEST_CASE("error_picture: blue is too low, red too high, and it saturates") {
   const Tensor p = error_picture(Tensor::from({1, 4}, {-9, 0, 5, kNan}));
   CHECK(p[8 + 0] > p[0]);

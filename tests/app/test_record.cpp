@@ -51,9 +51,36 @@ TEST_CASE("sha256: files give the hash of their bytes, whatever the size of the 
   }
   const std::string missing = (folder / "none").string();
   CHECK(error_of<IoError>([&] { sha256_of_file(missing); }) ==
-        missing + ": cannot be read, expected a file");
+        missing + ": no such file, expected a file");
   CHECK(error_of<IoError>([&] { sha256_of_file(folder.path()); }) ==
-        folder.path().string() + ": cannot be read, expected a file");
+        folder.path().string() + ": is a folder, expected a file");
+}
+
+namespace {
+
+struct NamesFiles {
+  fs::path weights = "nets/w.safetensors", mask;
+  std::vector<fs::path> images{"a.tif", "/data/b.tif"};
+  std::string crs = "auto";
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("weights", s.weights, Field{.help = "a file"});
+    v("mask", s.mask, Field{.help = "another", .automatic = "none"});
+    v("images", s.images, Field{.help = "some files"});
+    v("crs", s.crs, Field{.help = "no file"});
+  }
+};
+
+}  // namespace
+
+TEST_CASE("record: files of a configuration are named in full, so that any folder repeats it") {
+  const std::string here = fs::current_path().string();
+  const NamesFiles config;
+  CHECK(recorded_config(config) == nlohmann::json{{"weights", here + "/nets/w.safetensors"},
+                                                  {"mask", ""},
+                                                  {"images", {here + "/a.tif", "/data/b.tif"}},
+                                                  {"crs", "auto"}});
+  CHECK(to_json(config)["weights"] == "nets/w.safetensors");
 }
 
 TEST_CASE("record: holds what a run depended on") {
@@ -113,7 +140,7 @@ TEST_CASE("record: holds what a run depended on") {
         (folder / "out/run.json").string() +
             ": the record of \"train\", expected one of \"simulate\"");
   CHECK(error_of<IoError>([&] { record.add_input(folder / "none"); }) ==
-        (folder / "none").string() + ": cannot be read, expected a file");
+        (folder / "none").string() + ": no such file, expected a file");
 }
 
 TEST_CASE("output folder: staged files appear together, or not at all") {

@@ -74,7 +74,7 @@ TEST_CASE("a report holds everything and asks for nothing") {
         4);  // heights, hillshade, confidence, coverage: no others are there
   CHECK(page.find("confidence &lt; 0.4") != std::string::npos);
   CHECK(page.find("<h2>Tiles</h2>") == std::string::npos);
-  CHECK(page.find("1.25 px") != std::string::npos);
+  CHECK(page.find("1.25\u00a0px") != std::string::npos);
   CHECK(page.find("<li>three.tif: sees &lt;nothing&gt;</li>") != std::string::npos);
 }
 
@@ -86,6 +86,64 @@ TEST_CASE("what comes into a report is text and no HTML") {
   Report sly = slope();
   sly.title = "{{grid}}";
   CHECK(report_html(sly).find("<h1>{{grid}}</h1>") != std::string::npos);
+}
+
+TEST_CASE("images of one place have one mark with all their numbers, others a label each") {
+  Report report = slope();
+  report.images[0].sun_deg = report.images[1].sun_deg = {45, 135};
+  report.images.push_back(report.images[0]);
+  report.images[2].sun_deg = {44.5, 136};  // 2 px beside
+  report.images[2].off_nadir_deg = 30;
+  const std::string sky = between(report_html(report), "<b>Satellites and suns</b>", "</figure>");
+  CHECK(count(sky, "class=\"edge\"") == 2);     // satellites 1 and 2 stand in one place
+  CHECK(count(sky, "r=\"5\" stroke=") == 1);    // one sun
+  CHECK(count(sky, "class=\"rim\"") == 1 + 3);  // with three numbers
+  for (const char* number : {"1", "2", "3"})
+    CHECK(count(sky, std::string(">") + number + "</text>") == 2);
+}
+
+TEST_CASE("along the epipolar direction three images say one thing, four say one for each pair") {
+  Report report = slope();
+  report.images.push_back(report.images[0]);
+  report.pairs = {
+      {"a", "b", 30, 1, 0.25, 0.75}, {"a", "c", 30, 1, 0.25, 0.0}, {"b", "c", 0, 0, {}, {}}};
+  std::string page = report_html(report);
+  CHECK(page.find("<th>Along</th>") == std::string::npos);
+  CHECK(page.find("leaves 0.75\u00a0px at most") != std::string::npos);
+  CHECK(page.find("0.00\u00a0px") == std::string::npos);
+  report.pairs[0].along = report.pairs[1].along = std::nullopt;
+  CHECK(report_html(report).find("three images tell") == std::string::npos);
+  report.images.push_back(report.images[0]);
+  report.pairs[0].along = 0.5;
+  page = report_html(report);
+  CHECK(page.find("<th>Along</th>") != std::string::npos);
+  CHECK(page.find("<td data-label=\"Along\">0.50\u00a0px</td>") != std::string::npos);
+}
+
+TEST_CASE("numbers are not parted from their units, long words may be cut") {
+  CHECK(unbroken("77.8 to 335.4 m") == "77.8 to 335.4\u00a0m");
+  CHECK(unbroken("2 % of 3 images, 5 px, 4 months") == "2\u00a0% of 3 images, 5\u00a0px, 4 months");
+  Report report = slope();
+  report.facts = {{"1 to 2 m", "heights"}};
+  report.files = {{"File", "Bytes", "SHA-256"}, {{"a.tif", "5512638", std::string(64, 'e')}}};
+  const std::string page = report_html(report);
+  CHECK(page.find("<b>1 to 2\u00a0m</b>") != std::string::npos);
+  CHECK(page.find("<td data-label=\"Bytes\">5512638</td>") != std::string::npos);
+  CHECK(page.find("<td data-label=\"Image\"><span>") != std::string::npos);  // tags are no words
+  CHECK(page.find("<td class=\"long\" data-label=\"SHA-256\">eee") != std::string::npos);
+}
+
+TEST_CASE("legends: counts are classes, ends that stand for more are pointed") {
+  const std::string page = report_html(slope());
+  const std::string coverage = between(page, "<b>Coverage</b><span>how many", "</figure>");
+  CHECK(count(coverage, "<i style=\"background:rgb(") == 3);  // none, one or both images
+  CHECK(coverage.find("linear-gradient") == std::string::npos);
+  const std::string heights = between(page, "<b>Heights</b><span>m above", "</figure>");
+  CHECK(count(heights, "class=\"end ") == 2);
+  CHECK(heights.find("2\u00a0% of the cells lie below the scale, 2\u00a0% above it") !=
+        std::string::npos);
+  const std::string confidence = between(page, "<b>Confidence</b>", "</figure>");
+  CHECK(count(confidence, "class=\"end ") == 0);
 }
 
 TEST_CASE("tiles are shown where there are some") {

@@ -3,6 +3,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/core/safetensors.h"
 
+#include <cmath>
 #include <filesystem>
 #include <string>
 #include <tuple>
@@ -22,7 +23,7 @@ reconstruct::TileSurface surface() {
   reconstruct::TileSurface out;
   out.empty = false;
   out.heights = Tensor({7, 8}, 5.f), out.confidence = Tensor({7, 8}, 0.5f);
-  out.views = Tensor({3, 4}, 2.f), out.ortho = Tensor({1, 3, 4}, 9.f);
+  out.views = Tensor({7, 8}, 2.f), out.ortho = Tensor({1, 7, 8}, 9.f);
   return out;
 }
 
@@ -30,7 +31,7 @@ TileRecord record() {
   TileRecord out;
   out.status = "done", out.seconds = 1.5, out.found = 11, out.expected = 12,
   out.window = {256, 192};
-  out.z_range = {-3.25, 17.125};
+  out.z_range = {-3.25, 17.125}, out.views = {"a", "b"};
   return out;
 }
 
@@ -149,12 +150,79 @@ TEST_CASE("a damaged record of a tile is named for what is wrong in it") {
   CHECK(error("\"seconds\":1.5", "\"seconds\":null") ==
         file.string() + ": seconds is null, expected a number" + end);
   CHECK(error("\"done\"", "\"over\"") ==
-        file.string() + ": status is \"over\", expected done, empty or failed" + end);
+        file.string() + ": status is \"over\", expected done or empty" + end);
   CHECK(error("[-3.25,17.125]", "[-3.25]") ==
         file.string() + ": z_range is [-3.25], expected two numbers" + end);
   CHECK(error("\"surfels\"", "\"others\"") ==
         file.string() + ": no surfels, expected the record of a tile");
   CHECK(error(good, "[]") == file.string() + ": no status, expected the record of a tile");
+  // what no tile can be
+  const auto says = [&](const std::string& from, const std::string& to, const std::string& text) {
+    CHECK(error(from, to) == file.string() + ": " + text + end);
+  };
+  says("\"found\":11", "\"found\":9007199254740992", "found is 9007199254740992, expected 0 to 12");
+  says("\"expected\":12", "\"expected\":13", "expected is 13, expected 0 to 12");
+  says("\"seconds\":1.5", "\"seconds\":-1e300", "seconds is -1e+300, expected 0 to 1e+09");
+  says("\"window_height\":256", "\"window_height\":0", "window_height is 0, expected 1 to 1048576");
+  says("[-3.25,17.125]", "[1e300,-1e300]",
+       "z_range is [1e+300,-1e+300], expected lowest and highest, at most 1000 km either way");
+  says("[-3.25,17.125]", "[5,5]",
+       "z_range is [5.0,5.0], expected lowest and highest, at most 1000 km either way");
+  says("\"camera_fit_max_px\":0.0", "\"camera_fit_max_px\":1e300",
+       "camera_fit_max_px is 1e+300, expected 0 to 1e+06");
+  says("\"surfels\":0", "\"surfels\":7",
+       "surfels is 7, expected as many as the file beside it holds");
+  says("[\"a\",\"b\"]", "[\"a\"]", "views is [\"a\"], expected names of two images or more");
+  says("\"done\"", "\"empty\"", "status is \"empty\", expected no rasters beside it");
+  says("\"done\"", "\"failed\"", "status is \"failed\", expected done or empty");
+  test::write_bytes(file, good);
+  CHECK_NOTHROW(store.find(kTile));
+  TileRecord counted = *store.find(kTile);
+  counted.surfels = 3;
+  CHECK(test::error_of<IoError>([&] { store.check_surfels(kTile, counted, 2); }) ==
+        store.surfels_of(kTile).string() + ": 2 surfels, expected 3 as tile_0001_0002.json says");
+  std::filesystem::remove(store.path() / "tile_0001_0002.safetensors");
+  CHECK(test::error_of<IoError>([&] { store.find(kTile); }) ==
+        file.string() + ": status is \"done\", expected rasters beside it" + end);
+}
+
+TEST_CASE("names of images that are no UTF-8 stop no tile") {
+  const TempFolder folder("tiles");
+  TileRecord named = record();
+  named.views = {"a\xff", "b"};
+  const nlohmann::json plan{{"images", {"a\xff.tif"}}};
+  {
+    TileStore store(folder / "out", false, false);
+    store.begin(plan);
+    store.save(kTile, named, surface());
+  }
+  TileStore store(folder / "out", true, false);
+  CHECK_NOTHROW(store.begin(plan));
+  CHECK(store.find(kTile)->views[0] == "a\xef\xbf\xbd");
+}
+
+TEST_CASE("values that no surface has are refused by the name of their raster") {
+  const TempFolder folder("tiles");
+  TileStore store(folder / "out", false, false);
+  store.save(kTile, record(), surface());
+  const auto file = folder / "out.tiles/tile_0001_0002.safetensors";
+  const TensorFile good = load_safetensors(file);
+  const auto with = [&](const char* name, float value) {
+    TensorFile changed = good;
+    changed.tensors[name] = good.tensors.at("heights").clone();
+    for (float& v : changed.tensors[name].values()) v = 0.5F;
+    changed.tensors[name][7] = value;
+    save_safetensors(file, changed);
+    return test::error_of<IoError>([&] { store.load(kTile); });
+  };
+  const std::string front = file.string() + ": ";
+  CHECK(with("heights", 1e38F) == front + "heights holds 1e+38, expected -1e+06 to 1e+06 or NaN");
+  CHECK(with("heights", INFINITY) == front + "heights holds inf, expected -1e+06 to 1e+06 or NaN");
+  CHECK(with("confidence", -1) == front + "confidence holds -1, expected 0 to 1.001 or NaN");
+  CHECK(with("sigma", -1) == front + "sigma holds -1, expected 0 to 1e+06 or NaN");
+  CHECK(with("views", -1) == front + "views holds -1, expected 0 to 1e+06 or NaN");
+  CHECK(with("ortho", -INFINITY).starts_with(front + "ortho holds -inf, expected"));
+  CHECK(with("heights", std::nanf("")) == "no exception");
 }
 
 TEST_CASE("rasters of other cells than their tile's are refused") {
@@ -165,10 +233,10 @@ TEST_CASE("rasters of other cells than their tile's are refused") {
   const TensorFile good = load_safetensors(file);
   for (const auto& [name, shape, expected] : {std::tuple{"heights", Shape{1, 1}, "[7,8]"},
                                               {"confidence", Shape{8, 7}, "[7,8]"},
-                                              {"views", Shape{12}, "[3,4]"},
+                                              {"views", Shape{12}, "[7,8]"},
                                               {"sigma", Shape{3, 4}, "[7,8]"},
-                                              {"ortho", Shape{1, 3, 3}, "[3,4]"},
-                                              {"views", Shape{1, 3, 4}, "[3,4]"}}) {
+                                              {"ortho", Shape{1, 3, 3}, "[7,8]"},
+                                              {"views", Shape{1, 7, 8}, "[7,8]"}}) {
     TensorFile wrong = good;
     wrong.tensors[name] = Tensor(shape, 1.f);
     save_safetensors(file, wrong);

@@ -3,6 +3,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/rpc/raster.h"
 
+#include <cmath>
 #include <filesystem>
 #include <vector>
 
@@ -29,7 +30,7 @@ reconstruct::TileSurface level(float z) {
   reconstruct::TileSurface out;
   out.empty = false;
   out.heights = Tensor({8, 8}, z), out.confidence = Tensor({8, 8}, 0.5f);
-  out.views = Tensor({8, 6}, 2.f), out.ortho = Tensor({1, 8, 6}, 9.f);
+  out.views = Tensor({8, 8}, 2.f), out.ortho = Tensor({1, 8, 8}, 9.f);
   return out;
 }
 
@@ -81,11 +82,36 @@ TEST_CASE("tiles become one raster of every kind, and the way from one to the ot
   for (const float n : views.values.values()) CHECK(n == 2);
 }
 
+TEST_CASE("a cell with a height has its number of images and its colour, whichever tile knows it") {
+  const TempFolder folder("tiled");
+  reconstruct::TileSurface west = level(4), east = level(8);
+  for (Index y = 0; y < 8; ++y) {
+    const Index at = y * 8 + 5;  // the last column that the western tile answers for
+    west.heights[at] = west.confidence[at] = west.views[at] = west.ortho[at] = std::nanf("");
+  }
+  for (Index y = 0; y < 8; ++y) east.views[y * 8 + 1] = 3, east.ortho[y * 8 + 1] = 7;  // the same
+  east.ortho[2 * 8 + 6] = std::nanf(""), east.views[2 * 8 + 6] = 0;
+  made_of(folder, west, east);
+  const Tensor dsm = rpc::read_geo_raster(folder / "dsm.tif").values,
+               views = rpc::read_geo_raster(folder / "views.tif").values,
+               ortho = rpc::read_geo_raster(folder / "ortho.tif").values;
+  for (Index i = 0; i < dsm.count(); ++i) {
+    CAPTURE(i);
+    const bool own = i % 12 != 5, unseen = i == 2 * 12 + 10;
+    CHECK(dsm[i] >= 34);
+    CHECK(views[i] == (unseen ? 0 : own ? 2 : 3));
+    if (unseen)
+      CHECK(std::isnan(ortho[i]));
+    else
+      CHECK(ortho[i] == (own ? 9 : 7));
+  }
+}
+
 TEST_CASE("tiles with other rasters than the others are those of another run") {
   const TempFolder folder("tiled");
   reconstruct::TileSurface known = level(4), coloured = level(4);
   known.sigma = Tensor({8, 8}, 0.25f);
-  coloured.ortho = Tensor({3, 8, 6}, 9.f);
+  coloured.ortho = Tensor({3, 8, 8}, 9.f);
   const auto error = [&](const reconstruct::TileSurface& west,
                          const reconstruct::TileSurface& east) {
     return test::error_of<IoError>([&] { made_of(folder, west, east); });

@@ -84,6 +84,15 @@ holds "the good ones are told all the same" grep -q "^pairs" stdout
 "$satsurf" info "${images[0]}" gone.tif --json >stdout 2>stderr
 holds "JSON names what could not be read" grep -qE '"error": "gone.tif: ' stdout
 
+# What was cut off on its way is told, and the rest all the same.
+head -c $(($(stat -c %s "${images[1]}") * 2 / 3)) "${images[1]}" >cut.tif
+"$satsurf" info "${images[0]}" cut.tif "${images[2]}" >stdout 2>stderr
+holds "an image that was cut off fails" test $? -eq 1
+holds "it is named" grep -q "^satsurf: cut.tif: " stderr
+holds "the other images are a pair" grep -qE "001_RGB.tif . .*003_RGB.tif: overlap" stdout
+rm cut.tif
+holds "no georeference is told in words" grep -qE "^  georeference  none" stdout
+
 tiny=(--preset tiny --crop 32 --steps 24 --checkpoint_every 4 --seed 9 --quiet)
 succeeds "train" "$satsurf" train --data data --out whole "${tiny[@]}"
 holds "one line per step" test "$(wc -l <whole/train.jsonl)" -eq 24
@@ -113,6 +122,21 @@ for signal in TERM HUP; do
   [ "$code" -eq $((128 + $(kill -l $signal))) ] || fail "SIG$signal: exit code $code"
   holds "SIG$signal leaves nothing behind" test -z "$(ls -d stopped* 2>/dev/null)"
 done
+# What stopped runs have left is put back or removed by the next one, which says so.
+moved=("$satsurf" simulate --out moved --scenes 1 --views 2 --pixels 64)
+succeeds "what will be moved away" "${moved[@]}" --quiet
+mv moved moved.replaced-1
+mkdir moved.partial-1 moved.replaced-2
+"${moved[@]}" >stdout 2>stderr
+holds "a place that was moved away is not empty" grep -q '^satsurf: out: moved exists and is not empty; use --overwrite' stderr
+holds "as it was put back" grep -q '/moved put back, which a stopped run had moved to .*/moved.replaced-1$' stderr
+succeeds "making it anew" "${moved[@]}" --overwrite
+for left in moved.partial-1 moved.replaced-2; do
+  holds "$left is removed" test ! -e $left
+  holds "and spoken of" grep -q "/$left removed, left by a stopped run" stderr
+done
+rm -rf moved
+
 holds "Ctrl-C stopped the run early" test "$(wc -l <parts/train.jsonl)" -lt 24
 succeeds "resume" "$satsurf" train --data data --out parts "${tiny[@]}" --resume --threads 2
 holds "resumed weights are those of the uninterrupted run" cmp whole/weights.safetensors parts/weights.safetensors
@@ -129,6 +153,9 @@ holds "the record has the branch's file" grep -qE '"path": ".*mono12.safetensors
 succeeds "train without perceptual loss" "$satsurf" train --data data --out plain --preset tiny --crop 32 --steps 1
 cp stderr notes.txt
 holds "it says so" grep -qE "^no perceptual loss: lpips_weights names no file$" notes.txt
+refuses "training from nothing, in one line" 1 "gone.safetensors: no such file" "$satsurf" train --data data --out no --preset tiny --crop 32 --steps 1 --init gone.safetensors
+refuses "windows that no memory holds" 1 "windows of 100000 px of 4 images need about .* give a smaller crop" \
+  "$satsurf" train --data data --out no --preset tiny --crop 100000 --steps 1
 refuses "a branch of another size" 1 "mono12.safetensors" "$satsurf" train --data data --out no --preset tiny_full --crop 32 --steps 1 --quiet
 
 # The monocular network: the same program, another task.
@@ -152,8 +179,11 @@ succeeds "dry run" "$satsurf" reconstruct "${images[@]}" --dry-run --out out --w
 holds "it says what would be done" grep -qE "surface +[0-9]+ x [0-9]+ cells" stdout
 holds "it says what that takes" grep -qE "memory +about [0-9.]+ [MG]B" stdout
 holds "and what each part of it takes" grep -qE "^  volumes 3 +[0-9.]+ [MG]B" stdout
+holds "and how long that takes, about" grep -qE "^time +about [0-9]+ (s|min)" stdout
+planned=$(sed -nE 's/^surface +([0-9]+ x [0-9]+) cells.*/\1/p' stdout)
 holds "it writes nothing" test ! -e out
 succeeds "reconstruct" "$satsurf" reconstruct "${images[@]}" --out out --weights $weights --quiet
+holds "its cells are those of the plan" grep -qE "^surface +$planned cells" stdout
 holds "it records how well the cameras were fitted" grep -qE '"camera_fit_max_px": [0-9]' out/run.json
 for file in dsm.tif confidence.tif ortho.tif views.tif surfels.ply mesh.ply run.json report.html height.png hillshade.png confidence.png \
   views/SIM_001_001_RGB_render.png views/SIM_001_003_RGB_source.png; do
@@ -175,6 +205,7 @@ succeeds "cameras as they are" "$satsurf" reconstruct "${images[@]}" --out shift
 holds "nothing is said of shifts" test ! -e shifted/pointing.json
 refuses "shifts from nowhere" 1 "nowhere.json" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --pointing nowhere.json
 echo '{"images": []}' >none.json
+refuses "a mistyped word for shifts" 2 "pointing is .afine., did you mean .affine." "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --pointing afine
 refuses "shifts of other images" 2 "no shift for SIM_001_001_RGB" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights \
   --pointing none.json --quiet
 succeeds "no mesh" "$satsurf" reconstruct "${images[@]}" --out bare --weights $weights --mesh none --quiet
@@ -187,11 +218,22 @@ cp "${images[0]}" twin.tif
 succeeds "one image twice beside two others" "$satsurf" reconstruct "${images[@]}" twin.tif --out twins --weights $weights --mesh none --report none --quiet
 holds "is left out" grep -q "same direction as" twins/run.json
 holds "and changes nothing" cmp twins/dsm.tif bare/dsm.tif
+succeeds "names that mean one image" "$satsurf" reconstruct "${images[@]}" ./${images[1]} $(realpath ${images[0]}) --out once --weights $weights --mesh none --report none
+holds "are told" grep -qE "^2 of 5 names of images mean one that came before" stderr
+holds "and count once" cmp once/dsm.tif bare/dsm.tif
+refuses "an image and itself" 1 "SIM_.*is the only image" "$satsurf" reconstruct ${images[0]} ./${images[0]} --out no --weights $weights --quiet
+cp ${images[0]} $'\xff.tif'
+succeeds "a name that is no UTF-8" "$satsurf" reconstruct $'\xff.tif' "${images[@]:1}" --out odd --weights $weights --mesh none --quiet
+holds "which its record writes with what stands for the byte" grep -q $'\xef\xbf\xbd.tif' odd/run.json
+succeeds "and so does its plan" "$satsurf" reconstruct $'\xff.tif' "${images[@]:1}" --print-config
+rm $'\xff.tif'
 succeeds "no more images than wanted" "$satsurf" reconstruct "${images[@]}" --max-views 2 --out two --weights $weights --mesh none --report none --quiet
 holds "the third is told of" grep -q "others go better together" two/run.json
 succeeds "heights above the geoid" "$satsurf" reconstruct "${images[@]}" --geoid egm96 --out geoid --weights $weights --mesh none --report none --quiet
 holds "say so" grep -q '"vertical_datum": "EGM96 geoid"' geoid/run.json
 holds "and are others than those above the ellipsoid" bash -c '! cmp -s geoid/dsm.tif bare/dsm.tif'
+"$satsurf" evaluate --dsm geoid/dsm.tif --truth bare/dsm.tif >stdout 2>stderr
+holds "evaluate tells how high the geoid lies" grep -qE "differ by .* above the geoid. .the geoid lies [0-9.]+ m (below|above) the ellipsoid here" stderr
 holds "surfels stay above the ellipsoid" cmp geoid/surfels.ply bare/surfels.ply
 refuses "a geoid without a grid" 1 "EGM2008 geoid, expected its grid" "$satsurf" reconstruct "${images[@]}" --geoid egm2008 --out no --weights $weights --quiet
 rm -rf twins twin.tif two geoid
@@ -256,6 +298,14 @@ succeeds "the same in tiles" "$satsurf" reconstruct "${images[@]}" --out masked2
 holds "it is unknown in the same cells" grep -qE "completeness (9[5-9]|100)\.[0-9] %" stdout
 refuses "a mask that is none" 1 "area.txt: " "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --mask area.txt --quiet
 rm -rf masked masked2
+classes=data/Track3-Truth/SIM_001_CLS.tif
+refuses "classes none of which is 0" 1 "SIM_001_CLS.tif: the mask leaves 0 % of the ground .*--mask-values" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --mask $classes --quiet
+succeeds "classes that are named" "$satsurf" reconstruct "${images[@]}" --out masked --weights $weights --mask $classes --mask-values=6,9,17 --mesh none --report none --quiet
+holds "they are in the record" bash -c "tr -d '\\n ' <masked/run.json | grep -qF '\"mask_values\":[6.0,9.0,17.0]'"
+holds "and leave less" test "$(stat -c %s masked/surfels.ply)" -lt "$(stat -c %s bare/surfels.ply)"
+refuses "values of polygons" 2 "mask_values came for the polygons of area.geojson" "$satsurf" reconstruct "${images[@]}" --out no --mask area.geojson --mask-values 9 --weights $weights
+refuses "values of nothing" 2 "mask_values came without mask" "$satsurf" reconstruct "${images[@]}" --out no --mask-values=9 --weights $weights
+rm -rf masked
 succeeds "terrain" "$satsurf" reconstruct "${images[@]}" --out terrain --weights $weights --mesh none --dem $truth --quiet
 holds "says the heights" grep -q '"height_range_source": "from the terrain"' terrain/run.json
 holds "and is an input" grep -qE '"path": "(.*/)?SIM_001_DSM.tif"' terrain/run.json
@@ -427,6 +477,7 @@ holds "it names its place" grep -qa "^comment origin" surfels_mesh.ply
 succeeds "a mesh made of surfels is where that of the reconstruction is" "$satsurf" evaluate --mesh surfels_mesh.ply --reference-mesh out/mesh.ply
 refuses "a resolution of a mesh" 2 "requires --surfels" "$satsurf" export --mesh out/mesh.ply --resolution 1 --to no.glb
 refuses "another format" 2 "expected a name ending in .glb or .ply" "$satsurf" export --mesh out/mesh.ply --to mesh.obj
+refuses "a raster of surfels" 2 "expected a name ending in .glb or .ply; satsurf render --nadir makes rasters" "$satsurf" export --surfels out/surfels.ply --to dsm.tif
 refuses "an existing file" 1 "--to: mesh.glb exists; use --overwrite" "$satsurf" export --mesh out/mesh.ply --to mesh.glb
 refuses "colours of another grid" 1 "another grid, expected that of $truth" "$satsurf" export --dsm $truth --ortho out/ortho.tif --to no.glb
 refuses "nothing to export" 2 "--mesh, --dsm or --surfels is required" "$satsurf" export --to no.glb
@@ -504,9 +555,18 @@ succeeds "reconstruct from its record" "$satsurf" reconstruct --config out/run.j
 holds "the same surface" diff -r -x run.json -x report.html out replayed
 config() { sed -n '/^  "config": {/,/^  }/p' "$1"; }
 holds "from the same configuration" cmp <(config out/run.json) <(config replayed/run.json)
+mkdir far
+succeeds "from any folder, as the report says it" bash -c "cd out && $(sed -n 's:</*span>::g; s:^<pre>satsurf \(.*\)</pre>$:"$0" \1:p' out/report.html) --quiet --threads 1" "$satsurf"
+holds "the same surface again" diff -r -x run.json -x report.html out/again replayed
+mv out/again far/
+succeeds "shifts from a file, in the record" "$satsurf" reconstruct "${images[@]}" --weights $weights --mesh none --quiet \
+  --pointing out/pointing.json --out far/shifted
+succeeds "are found from any folder" bash -c 'cd far && "$0" reconstruct --config shifted/run.json --out shifted2 --quiet' "$satsurf"
+holds "the same shifted surface" diff -r -x run.json -x report.html far/shifted far/shifted2
+rm -r far
 succeeds "a record and a flag" "$satsurf" reconstruct --config out/run.json --mesh none --print-config
 holds "the flag wins" grep -q '"mesh": "none"' stdout
-holds "the images are the record's" grep -qF "\"${images[2]}\"" stdout
+holds "the images are the record's, named in full" grep -qF "\"$PWD/${images[2]}\"" stdout
 holds "what is automatic stays so" grep -qE '"voxel": 0.0' stdout
 succeeds "a record and other images" "$satsurf" reconstruct x.tif y.tif --config out/run.json --print-config
 holds "which take their place" cmp <(grep -A 3 '"images"' stdout) <(printf '  "images": [\n    "x.tif",\n    "y.tif"\n  ],\n')
@@ -529,7 +589,7 @@ refuses "scores over their record" 1 "--json: scores.json is an input" \
   "$satsurf" evaluate --config scores.json --json scores.json --overwrite
 succeeds "a record of scores and a flag" "$satsurf" evaluate --config scores.json --register none --print-config
 holds "the registration is the flag's" grep -q '"register": "none"' stdout
-holds "the truth is the record's" grep -qF "\"truth\": \"$truth\"" stdout
+holds "the truth is the record's, named in full" grep -qF "\"truth\": \"$PWD/$truth\"" stdout
 succeeds "a data set's scores from their record" "$satsurf" evaluate --config all.json --csv again.csv --threads 1 --quiet
 holds "are the same table" cmp <(untimed all.csv) <(untimed again.csv)
 succeeds "water and meshes" "$satsurf" evaluate --data data --keep-water --no-meshes --print-config
@@ -562,6 +622,7 @@ refuses "malformed configuration" 2 "broken.json" "$satsurf" train --config brok
 refuses "no command" 2 "--help" "$satsurf"
 refuses "unknown command" 2 "paint" "$satsurf" paint
 refuses "a mistyped command" 2 "reconstuct, did you mean reconstruct\?" "$satsurf" reconstuct
+refuses "a flag without its value" 2 "help: --completion came without a value, expected bash" "$satsurf" help --completion
 refuses "a mistyped flag" 2 "info: unknown flag --jsno, did you mean --json\?; see satsurf help info" "$satsurf" info "${images[0]}" --jsno
 refuses "unknown flag" 2 "--colour" "$satsurf" info "${images[0]}" --colour
 refuses "a number out of range" 2 "lr.*2" "$satsurf" train --data data --out no --lr 2
@@ -621,7 +682,7 @@ refuses "missing image" 1 "nowhere.tif" reconstruct "${good[0]}" nowhere.tif --o
 refuses "no overlap" 1 "SIM_001_001_RGB.tif and .*SIM_002_001_RGB.tif do not overlap" \
   reconstruct "${good[0]}" data/Track3-RGB/SIM_002_001_RGB.tif --out no --weights $weights
 refuses "one image" 1 "SIM_001_001_RGB.tif is the only image, expected two or more" reconstruct "${good[0]}" --out no --weights $weights
-refuses "one image twice" 1 "SIM_001_001_RGB.tif and .*SIM_001_001_RGB.tif are seen from one direction" \
+refuses "one image twice" 1 "SIM_001_001_RGB.tif is the only image, expected two or more" \
   reconstruct "${good[0]}" "${good[0]}" --out no --weights $weights
 refuses "existing output folder" 1 "out .*--overwrite" reconstruct "${good[@]}" --out out --weights $weights
 refuses "folders made around a failure" 1 "text.tif" reconstruct "${good[0]}" text.tif --out newd/deep/o --weights $weights
@@ -722,6 +783,13 @@ cat >huge.vrt <<XML
 XML
 sed 's/"a.asc", "width": 64, "height": 64/"huge.vrt", "width": 300000, "height": 300000/' a.json >huge.json
 refuses "more pixels than the file can hold" 1 "huge.vrt: 300000 x 300000 px.*empty or damaged" reconstruct a.json huge.json --out no --weights $weights
+{ printf 'P5 64 64 255\n' && head -c 4096 a.asc; } >a.pgm
+sed 's/"a.asc"/"a.pgm"/' a.json >pgm.json
+refuses "a format whose driver is not trusted" 1 "a.pgm: of the format PNM.*; --gdal-drivers PNM allows it" "$satsurf" info pgm.json
+succeeds "a format whose driver is trusted" "$satsurf" info pgm.json --gdal-drivers PNM
+refuses "a driver that GDAL has not" 2 "gdal_drivers: HDF6 is no driver of this GDAL, did you mean HDF4. expected some of .*, PNM," \
+  "$satsurf" info pgm.json --gdal-drivers HDF6
+refuses "a driver that GDAL has not, in the environment" 2 "HDF6 is no driver" env SATSURF_GDAL_DRIVERS=HDF6 "$satsurf" info pgm.json
 raster flat flat && sed 's/"b.asc"/"flat.asc"/' b.json >flat.json
 refuses "an image of one grey" 1 "flat.json: the same grey everywhere" reconstruct a.json flat.json --out no --weights $weights
 sed 's/"row_num"/"row_nums"/' b.json >key.json

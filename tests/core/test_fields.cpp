@@ -4,6 +4,7 @@
 #include "satsurf/core/fields_json.h"
 
 #include <cmath>
+#include <ctime>
 #include <filesystem>
 #include <limits>
 
@@ -286,6 +287,20 @@ TEST_CASE("fields: a struct filled in by code can be checked") {
   CHECK_THROWS_WITH_AS(to_json(c), "momentum: nan, expected a finite number", ConfigError);
 }
 
+TEST_CASE("fields: a long JSON document takes time and memory in proportion") {
+  const auto list_of = [](const std::string& element, std::size_t count) {
+    std::string text = "{\"x\":[";
+    for (std::size_t i = 0; i < count; ++i) text += element + ',';
+    return text + "1]}";
+  };
+  const std::clock_t start = std::clock();
+  CHECK(parse_json(list_of("{}", 400'000), "long")["x"].size() == 400'001);
+  CHECK(std::clock() - start < 10 * CLOCKS_PER_SEC);  // half a minute, if squared
+  CHECK(parse_json(list_of("[]", 1'999'997), "long")["x"].size() == 1'999'998);
+  CHECK(error_of<IoError>([&] { parse_json(list_of("[]", 1'999'998), "long"); }) ==
+        "long: more than 2000000 values, expected fewer");
+}
+
 TEST_CASE("fields: JSON files are read strictly and errors name the line") {
   const test::TempFolder folder("json");
   const auto path = folder / "c.json";
@@ -395,4 +410,16 @@ TEST_CASE("files are texts, pairs may be missing, and 0 may stand for what the p
   CHECK(fields[1].is_path());
   CHECK(!fields[2].is_path());
   CHECK(fields[2].is_list());
+}
+
+TEST_CASE("names of files that are no UTF-8 are written with what stands for unknown bytes") {
+  Request request;
+  request.images = {"a\xff.tif", "b.tif"};
+  request.weights = "\xc3\xa9";  // e with an acute accent
+  const json made = to_json(request);
+  CHECK(made["images"] == json{"a\xef\xbf\xbd.tif", "b.tif"});
+  CHECK(made["weights"] == "\xc3\xa9");
+  CHECK(made.dump().size() > 2);  // throws for others
+  CHECK(json_text(json{{"name", "\xff"}}) == "{\"name\":\"\xef\xbf\xbd\"}");
+  CHECK(json_text(json{1, 2}, 1) == "[\n 1,\n 2\n]");
 }

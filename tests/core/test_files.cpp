@@ -52,3 +52,27 @@ TEST_CASE("files: what is no file is named for what it is, and nobody waits for 
   CHECK_FALSE(is_file(long_name));
   CHECK_FALSE(is_folder(long_name));
 }
+
+TEST_CASE("files: what lies beside a file is listed, and none of its companions is a pipe") {
+  const test::TempFolder folder("beside");
+  const std::string image = (folder / "Img.tif").string();
+  for (const char* name : {"Img.tif", "Img_RPC.TXT", "other.txt"})
+    test::write_bytes(folder / name, "x");
+  std::filesystem::create_directory(folder / "folder");
+  // Pipes of nothing, of another image, of a program.
+  for (const char* name : {"other", "Img2.RPB", "Img"})
+    REQUIRE(::mkfifo((folder / name).c_str(), 0600) == 0);
+  CHECK(names_beside(image) ==
+        std::vector<std::string>{"Img.tif", "Img_RPC.TXT", "folder", "other.txt"});
+  CHECK(names_beside(folder / "nowhere/x.tif").empty());
+  for (const std::string name : {"Img.tif.ovr", "Img.tif.msk", "Img.RPB", "img_metadata.txt"}) {
+    const std::string pipe = (folder / name).string();
+    REQUIRE(::mkfifo(pipe.c_str(), 0600) == 0);
+    CHECK(error_of<IoError>([&] { names_beside(image); }) ==
+          pipe + ": is a pipe, expected a file or nothing under this name beside " + image);
+    std::filesystem::remove(pipe);
+    std::filesystem::create_symlink(folder / "other", pipe);  // a link to one is no better
+    CHECK(error_of<IoError>([&] { names_beside(image); }).starts_with(pipe + ": is a pipe"));
+    std::filesystem::remove(pipe);
+  }
+}

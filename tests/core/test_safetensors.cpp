@@ -14,6 +14,7 @@
 #include <doctest/doctest.h>
 #include <fcntl.h>
 #include <sys/file.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 using namespace satsurf;
@@ -260,9 +261,14 @@ TEST_CASE("safetensors: what cannot be opened or saved is named") {
   const test::TempFolder folder("safetensors-files");
   const std::string missing = (folder / "missing").string();
   CHECK(error_of<IoError>([&] { load_safetensors(missing); }) ==
-        missing + ": cannot be read, expected a safetensors file");
+        missing + ": no such file, expected a safetensors file");
   CHECK(error_of<IoError>([&] { load_safetensors(folder.path()); }) ==
-        folder.path().string() + ": cannot be read, expected a safetensors file");
+        folder.path().string() + ": is a folder, expected a safetensors file");
+  const std::string pipe = (folder / "pipe").string();
+  REQUIRE(::mkfifo(pipe.c_str(), 0600) == 0);  // whoever opened it would wait for a writer
+  CHECK(error_of<IoError>([&] { load_safetensors(pipe); }) ==
+        pipe + ": is a pipe, expected a safetensors file");
+  std::filesystem::remove(pipe);
 
   const std::string out = (folder / "out").string();
   TensorFile f;

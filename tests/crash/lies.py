@@ -15,6 +15,7 @@ import re
 import shutil
 import signal
 import socket
+import sqlite3
 import struct
 import subprocess
 import sys
@@ -187,6 +188,133 @@ class Lies:
     def raster_sparse(self):
         tiff("sparse.tif", 60000)
         return ["evaluate", "--dsm", "sparse.tif", "--truth", "sparse.tif"], "sparse.tif: "
+
+    def raster_sparse_in_memory(self):
+        """262 MB of nothing in 274 bytes, which any memory holds."""
+        tiff("thin.tif", 8100)
+        return ["evaluate", "--dsm", "thin.tif", "--truth", "thin.tif"], "thin.tif: 8100 x 8100 px"
+
+    def raster_sparse_for_a_mesh(self):
+        self.raster_sparse_in_memory()
+        return ["export", "--dsm", "thin.tif", "--to", "no.glb"], "thin.tif: 8100 x 8100 px"
+
+    def raster_heights(self):
+        tiff("high.tif", 16, data=struct.pack("<f", 1e38) * 256)
+        return ["evaluate", "--dsm", "high.tif", "--truth", "high.tif"], "high.tif: a height of 1e+38 m"
+
+    def terrain_origin(self):
+        tiff("astray.tif", 16, x0=math.nan, data=struct.pack("<f", 3) * 256)
+        return self._reconstruct("--dem", "astray.tif"), "astray.tif: a grid at"
+
+    def mask_origin(self):
+        tiff("adrift.tif", 16, x0=1e300, data=struct.pack("<f", 3) * 256)
+        return self._reconstruct("--mask", "adrift.tif"), "adrift.tif: a grid at"
+
+    def _reconstruct(self, *more):
+        images = sorted(str(p) for p in Path("data").rglob("*_RGB.tif"))[:2]
+        return ["reconstruct", *images, "--out", "no", "--weights", "tiny/weights.safetensors", *more]
+
+    def image_beside_a_pipe(self):
+        image_with_camera("beside")
+        os.mkfifo("beside.tif.ovr")
+        return ["info", "beside.tif"], "beside.tif.ovr: is a pipe"
+
+    def weights_pipe(self):
+        os.mkfifo("pipe.safetensors")
+        images = sorted(str(p) for p in Path("data").rglob("*_RGB.tif"))[:2]
+        return ["reconstruct", *images, "--out", "no", "--weights", "pipe.safetensors"], "pipe.safetensors: is a pipe"
+
+    def checkpoint_pipe(self):
+        shutil.copytree("tiny", "run")
+        Path("run/checkpoint.safetensors").unlink()
+        os.mkfifo("run/checkpoint.safetensors")
+        return (["train", "--data", "data", "--out", "run", "--preset", "tiny", "--crop", "32", "--steps", "2", "--resume"],
+                "checkpoint.safetensors: is a pipe")
+
+    def picture_cut_off(self):
+        Path("cut.tif").write_bytes(Path("plain.tif").read_bytes()[:300])
+        return ["evaluate", "--image", "cut.tif", "--reference", "plain.tif"], "cut.tif: "
+
+    def json_many_values(self):
+        """300,000 objects, for each of which the parser once looked through all before it."""
+        sat_nerf("many.json")
+        Path("many.json").write_text(Path("many.json").read_text().replace('"width": 64', '"width": [' + "{}," * 300000 + "1]"))
+        return ["info", "many.json"], "many.json: "
+
+    def json_memory(self):
+        """60 MB of empty lists, which took 28 times as much."""
+        sat_nerf("lists.json")
+        Path("lists.json").write_text(Path("lists.json").read_text().replace('"width": 64', '"width": [' + "[]," * 20000000 + "1]"))
+        return ["info", "lists.json"], "lists.json: more than 2000000 values"
+
+    def dimap_network(self):
+        Path("net.xml").write_text(
+            '<Dimap_Document><Metadata_Id><METADATA_FORMAT version="1.1">DIMAP</METADATA_FORMAT></Metadata_Id>'
+            "<Raster_Dimensions><NCOLS>64</NCOLS><NROWS>64</NROWS><NBANDS>1</NBANDS></Raster_Dimensions><Data_Access><Data_File>"
+            f'<DATA_FILE_PATH href="http://127.0.0.1:{self.listener.port}/a.tif"/></Data_File></Data_Access></Dimap_Document>')
+        return ["info", "net.xml"], "net.xml: "
+
+    def dimap_pipe(self):
+        os.mkfifo("tile.tif")
+        self.dimap_network()
+        Path("waits.xml").write_text(re.sub("http://[^\"]*", "tile.tif", Path("net.xml").read_text()))
+        return ["info", "waits.xml"], "waits.xml: "
+
+    def vrt_overviews(self):
+        url = f"http://127.0.0.1:{self.listener.port}/a.tif"
+        Path("over.vrt").write_text(
+            f'<VRTDataset rasterXSize="64" rasterYSize="64"><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">{url}</MDI>'
+            '</Metadata><VRTRasterBand dataType="Byte" band="1"><SimpleSource><SourceFilename relativeToVRT="1">plain.tif'
+            "</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>")
+        return ["info", "over.vrt"], "over.vrt: names"
+
+    def vrt_fan_out(self):
+        """Eight VRTs, each of which names the next eight times."""
+        for i in range(8):
+            source = "plain.tif" if i == 7 else f"fan{i + 1}.vrt"
+            Path(f"fan{i}.vrt").write_text(
+                '<VRTDataset rasterXSize="64" rasterYSize="64"><VRTRasterBand dataType="Byte" band="1">' +
+                f'<SimpleSource><SourceFilename relativeToVRT="1">{source}</SourceFilename></SimpleSource>' * 8 +
+                "</VRTRasterBand></VRTDataset>")
+        return ["info", "fan0.vrt"], "fan0.vrt: a VRT that reads"
+
+    def area_network(self):
+        ring = [[5, 45], [5.01, 45], [5.01, 45.01], [5, 45]]
+        crs = {"type": "link", "properties": {"href": f"http://127.0.0.1:{self.listener.port}/a"}}
+        Path("link.geojson").write_text(json.dumps({"type": "Polygon", "crs": crs, "coordinates": [ring]}))
+        return self._reconstruct("--aoi", "link.geojson"), "link.geojson: names http"
+
+    def area_schema(self):
+        Path("schema.gml").write_text(
+            '<wfs:FeatureCollection xmlns:wfs="http://www.opengis.net/wfs" xmlns:gml="http://www.opengis.net/gml" xmlns:a="http://a"'
+            ' xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:schemaLocation="http://a '
+            f'http://127.0.0.1:{self.listener.port}/?SERVICE=WFS&amp;REQUEST=DescribeFeatureType"><gml:featureMember><a:b><a:g>'
+            '<gml:Polygon srsName="EPSG:4326"><gml:outerBoundaryIs><gml:LinearRing><gml:coordinates>5,45 5.01,45 5.01,45.01 5,45'
+            "</gml:coordinates></gml:LinearRing></gml:outerBoundaryIs></gml:Polygon></a:g></a:b></gml:featureMember>"
+            "</wfs:FeatureCollection>")
+        return self._reconstruct("--aoi", "schema.gml"), "schema.gml: "
+
+    def area_without_end(self):
+        """A GeoPackage whose layer is a view that has rows for ever."""
+        base = sqlite3.connect("view.gpkg")
+        base.executescript("""PRAGMA application_id=1196444487; PRAGMA user_version=10200;
+            CREATE TABLE gpkg_spatial_ref_sys(srs_name, srs_id INTEGER PRIMARY KEY, organization, organization_coordsys_id,
+                definition, description);
+            CREATE TABLE gpkg_contents(table_name PRIMARY KEY, data_type, identifier, description, last_change, min_x, min_y,
+                max_x, max_y, srs_id);
+            CREATE TABLE gpkg_geometry_columns(table_name, column_name, geometry_type_name, srs_id, z, m);
+            CREATE VIEW v AS WITH RECURSIVE r(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM r) SELECT i AS fid, NULL AS geom FROM r;
+            INSERT INTO gpkg_spatial_ref_sys VALUES('x', 4326, 'EPSG', 4326, 'undefined', '');
+            INSERT INTO gpkg_contents VALUES('v', 'features', 'v', '', '2020-01-01T00:00:00Z', 0, 0, 1, 1, 4326);
+            INSERT INTO gpkg_geometry_columns VALUES('v', 'geom', 'POLYGON', 4326, 0, 0);""")
+        base.close()
+        return self._reconstruct("--aoi", "view.gpkg"), "view.gpkg: holds views"
+
+    def camera_pole(self):
+        """One image of two looks beyond the pole: which?"""
+        images = sorted(str(p) for p in Path("data").rglob("*_RGB.tif"))[:1]
+        image_with_camera("pole", LAT_OFF=90)
+        return ["reconstruct", *images, "pole.tif", "--out", "no", "--weights", "tiny/weights.safetensors"], "pole.tif: "
 
     def raster_origin(self):
         tiff("nowhere.tif", 16, x0=math.nan, data=struct.pack("<f", 3) * 256)

@@ -4,7 +4,9 @@
 #include "satsurf/evaluate/image_metrics.h"
 #include "satsurf/evaluate/metrics.h"
 
+#include <array>
 #include <cmath>
+#include <cstdint>
 #include <cstdlib>
 #include <filesystem>
 #include <string>
@@ -47,6 +49,33 @@ void write_picture(const std::filesystem::path& path, int W, int H, int C, OIIO:
   REQUIRE(out->open(path.string(), spec));
   REQUIRE(out->write_image(OIIO::TypeDesc::FLOAT, pixels.data()));
   REQUIRE(out->close());
+}
+
+}  // namespace
+
+namespace {
+
+/// A grey TIFF in one strip behind its directory, as cameras write them: cut off, it still opens.
+std::string plain_tiff(std::uint32_t side) {
+  std::string out("II*\0\x08\0\0\0", 8);
+  const auto put = [&](std::uint32_t value, int bytes) {
+    for (int i = 0; i < bytes; ++i) out += static_cast<char>(value >> 8 * i & 255);
+  };
+  constexpr std::uint32_t kTags = 9, kShort = 3, kLong = 4, kData = 8 + 2 + 12 * kTags + 4;
+  put(kTags, 2);
+  for (const auto& [tag, type, value] :
+       std::array<std::array<std::uint32_t, 3>, kTags>{{{256, kLong, side},   // width
+                                                        {257, kLong, side},   // height
+                                                        {258, kShort, 8},     // bits
+                                                        {259, kShort, 1},     // not packed
+                                                        {262, kShort, 1},     // black is zero
+                                                        {273, kLong, kData},  // the strip's place
+                                                        {277, kShort, 1},     // channels
+                                                        {278, kLong, side},   // rows of the strip
+                                                        {279, kLong, side * side}}})
+    put(tag, 2), put(type, 2), put(1, 4), put(value, 4);
+  put(0, 4);
+  return out + std::string(std::size_t{side} * side, '\x55');
 }
 
 }  // namespace
@@ -188,6 +217,16 @@ TEST_CASE("read_picture") {
       CHECK(text.starts_with(at + name + ": "));
       CHECK(text.ends_with(", expected a PNG, JPEG or TIFF picture"));
       CHECK(text.find('\n') == std::string::npos);
+    }
+    const std::string tiff = plain_tiff(64);
+    test::write_bytes(folder / "whole.tif", tiff);
+    CHECK(read_picture(folder / "whole.tif").shape() == Shape{1, 64, 64});
+    for (const std::size_t keep : {std::size_t{150}, tiff.size() / 2, tiff.size() - 1}) {
+      test::write_bytes(folder / "cut.tif", tiff.substr(0, keep));
+      const std::string text = refusal("cut.tif");
+      CAPTURE(text);
+      CHECK(text.starts_with(at + "cut.tif: "));
+      CHECK(text.ends_with(", expected a PNG, JPEG or TIFF picture"));
     }
     CHECK(refusal("cut.png") ==
           at + "cut.png: the file ends too early, expected a PNG, JPEG or TIFF picture");

@@ -159,6 +159,16 @@ TEST_CASE("resample") {
   }
 }
 
+TEST_CASE("an offset is taken for the geoid's where it is as large") {
+  CHECK(like_geoid(27.5, 29.0));
+  CHECK(like_geoid(-27.5, 29.0));
+  CHECK(like_geoid(28.0, -29.0));
+  CHECK_FALSE(like_geoid(12.0, 29.0));
+  CHECK(like_geoid(12.0, -13.0));
+  CHECK_FALSE(like_geoid(12.0, {}));
+  CHECK(like_geoid(-40.0, {}));
+}
+
 TEST_CASE("compare_dsm") {
   const HeightField truth = sampled(210, 170, 0, 0, 0.5);
   SUBCASE("a known offset is found and taken out") {
@@ -201,6 +211,29 @@ TEST_CASE("compare_dsm") {
     set_threads(0);
     CHECK(one.registered.mae == two.registered.mae);
     CHECK(one.shift == two.shift);
+  }
+  SUBCASE("a surface is not moved off its bad cells") {
+    // Right but for towers at the eastern rim, which a shift by 8 cells moves off the truth.
+    HeightField found = truth;
+    found.z = truth.z.clone();
+    for (Index i = 0; i < found.z.count(); ++i)
+      if (i % 170 >= 162 && i / 170 / 20 % 2 == 0) found.z[i] += 20;
+    const DsmComparison c = compare_dsm(found, truth, Registration::xyz),
+                        z = compare_dsm(found, truth, Registration::z);
+    CHECK(c.registered.mae == z.registered.mae);
+    CHECK(c.shift == z.shift);
+    REQUIRE(c.refused_shift);
+    CHECK((*c.refused_shift)[0] > 2);
+  }
+  SUBCASE("nor further than any camera is off") {
+    const HeightField wide = sampled(400, 400, 0, 0, 0.5);
+    HeightField found = wide;
+    found.x0 += 24;
+    const DsmComparison far = compare_dsm(found, wide, Registration::xyz);
+    CHECK(std::abs(far.shift[0]) <= kFarthestShift);
+    CHECK(std::abs(far.shift[1]) <= kFarthestShift);
+    found.x0 -= 24 - 14.5;
+    CHECK(compare_dsm(found, wide, Registration::xyz).shift[0] == doctest::Approx(-14.5));
   }
   SUBCASE("equal surfaces stay where they are, flat ones too") {
     CHECK(compare_dsm(truth, truth, Registration::xyz).shift == std::array<double, 3>{0, 0, 0});

@@ -90,11 +90,11 @@ void tiles_and_changes() {
   const reconstruct::Tile tile{1, 2, {10, 20, 14, 23}, {8, 18, 16, 25}};
   reconstruct::TileSurface surface;
   surface.empty = false;
-  surface.heights = ramp({7, 8}), surface.confidence = ramp({7, 8}), surface.sigma = ramp({7, 8});
-  surface.views = ramp({3, 4}), surface.ortho = ramp({1, 3, 4});
+  surface.heights = ramp({7, 8}), surface.confidence = Tensor({7, 8}, 0.5F);
+  surface.sigma = ramp({7, 8}), surface.views = ramp({7, 8}), surface.ortho = ramp({1, 7, 8});
   app::TileRecord record;
   record.status = "done", record.seconds = 1.5, record.window = {256, 192},
-  record.z_range = {-3, 17};
+  record.z_range = {-3, 17}, record.views = {"a", "b"};
   {
     app::TileStore store(folder().path() / "out", false, true);
     store.save(tile, record, surface);

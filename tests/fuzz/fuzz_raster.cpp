@@ -12,7 +12,7 @@ void run(std::string_view bytes) {
   rpc::RasterInfo info;
   if (only<IoError>([&] { info = rpc::read_info(path); })) {
     require(info.width > 0 && info.height > 0 && info.bands > 0, "a raster has pixels");
-    // Up to 256 MiB are read whatever the file's size, which takes longer than an input may.
+    // Up to 16 MiB are read whatever the file's size, which takes longer than an input may.
     if (static_cast<double>(info.width) * static_cast<double>(info.height * info.bands) > 1e6)
       return;
     only<IoError>([&] {

@@ -25,19 +25,20 @@ void run(std::string_view bytes) {
     only<IoError>([&] {
       if (const auto record = store.find(tile))
         require(std::isfinite(record->z_range.low) && std::isfinite(record->z_range.high) &&
-                    record->surfels >= 0,
-                "a record holds numbers");
+                    record->surfels >= 0 && record->found <= record->expected,
+                "a record holds numbers of a tile");
     });
     only<IoError>([&] {
       const reconstruct::TileSurface surface = store.load(tile);
-      const Shape all{7, 8}, core{3, 4};
-      require(
-          surface.heights.shape() == all && surface.confidence.shape() == all &&
-              (surface.sigma.empty() || surface.sigma.shape() == all) &&
-              surface.views.shape() == core &&
-              (surface.ortho.empty() || (surface.ortho.rank() == 3 && surface.ortho.dim(1) == 3 &&
-                                         surface.ortho.dim(2) == 4)),
-          "rasters have the cells of their tile");
+      const Shape all{7, 8};
+      require(surface.heights.shape() == all && surface.confidence.shape() == all &&
+                  (surface.sigma.empty() || surface.sigma.shape() == all) &&
+                  surface.views.shape() == all &&
+                  (surface.ortho.empty() ||
+                   (surface.ortho.rank() == 3 && surface.ortho.slice0(0).shape() == all)),
+              "rasters have the cells of their tile");
+      for (const float h : surface.heights.values())
+        require(!(std::abs(h) > 1e6F), "heights are on the Earth");
     });
   }
   std::error_code ignored;

@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/error.h"
 #include "satsurf/mesh/glb.h"
+#include "satsurf/mesh/ply.h"
 #include "satsurf/mesh/simplify.h"
 
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <filesystem>
 #include <limits>
 #include <string>
 
@@ -94,6 +97,36 @@ TEST_CASE("write_glb: y up, linear colours, and what the format demands") {
           write_glb(folder / "bad.glb", mesh, {});
         }).ends_with("the mesh has no faces, expected some"));
   CHECK(!std::filesystem::exists(folder / "bad.glb"));
+}
+
+TEST_CASE("a mesh that is being written can be given up, and leaves nothing") {
+  const test::TempFolder folder("given-up");
+  const Mesh mesh = mesh_from_heights(hill(300, 300), 0, 0, 2, {});
+  struct Enough {};
+  for (const int most : {0, 1, 3}) {
+    int asked = 0;
+    const auto poll = [&] {
+      if (asked++ == most) throw Enough{};
+    };
+    CHECK_THROWS_AS(write_glb(folder / "x.glb", mesh, {}, poll), Enough);
+    asked = 0;
+    CHECK_THROWS_AS(write_ply(folder / "x.ply", mesh, {}, poll), Enough);
+    CHECK(std::filesystem::is_empty(folder.path()));
+  }
+  // In pieces as in one: what is told of the parts is where they are.
+  write_glb(folder / "x.glb", mesh, {});
+  const std::string bytes = test::read_bytes(folder / "x.glb");
+  const auto text = at<std::uint32_t>(bytes, 12);
+  const auto json = nlohmann::json::parse(bytes.substr(20, text));
+  const std::size_t begin = 20 + text + 8;
+  CHECK(bytes.size() == begin + json["buffers"][0]["byteLength"].get<std::size_t>());
+  const auto of = [&](std::size_t view) {
+    return begin + json["bufferViews"][view]["byteOffset"].get<std::size_t>();
+  };
+  CHECK(at<std::array<float, 3>>(bytes, of(1) + 12 * 70000) ==
+        std::array<float, 3>{mesh.normals[70000][0], mesh.normals[70000][2],
+                             -mesh.normals[70000][1]});
+  CHECK(at<std::array<std::uint32_t, 3>>(bytes, of(2) + 12 * 170000) == mesh.faces[170000]);
 }
 
 TEST_CASE("simplified: as many faces as are allowed, near the surface") {

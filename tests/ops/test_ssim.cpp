@@ -79,6 +79,24 @@ TEST_CASE("ssim agrees with its definition") {
     }
 }
 
+TEST_CASE("ssim_score is ssim in double, bit by bit") {
+  for (const auto& [C, H, W] : {std::array<Index, 3>{1, 11, 12}, {3, 37, 29}, {2, 70, 15}}) {
+    const auto x = picture({C, H, W}, 4).cast<float>();
+    const auto y = like(picture({C, H, W}, 4), 5, 0.1).cast<float>();
+    Tensor mask({H, W}, 1.F);
+    for (Index i = 0; i < mask.count(); i += 5) mask[i] = 0;
+    for (const SsimKind kind : {SsimKind::skimage, SsimKind::conv})
+      for (const Tensor& counts : {Tensor(), mask}) {
+        const auto wide = counts.empty() ? BasicTensor<double>() : counts.cast<double>();
+        CHECK(
+            ssim_score(x, y, kind, counts) ==
+            ssim(BasicVar<double>(x.cast<double>()), y.cast<double>(), kind, wide).value().item());
+      }
+  }
+  CHECK(ssim_score(Tensor({1, 12, 12}), Tensor({1, 12, 12}), SsimKind::conv, Tensor({12, 12})) ==
+        1);
+}
+
 TEST_CASE("ssim of equal images is exactly 1") {
   const auto x = picture({3, 19, 31}, 3);
   for (const auto& [kind, ref] : kConventions) {

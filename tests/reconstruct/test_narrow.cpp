@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/narrow.h"
+#include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/scene/height_range.h"
 
 #include <algorithm>
@@ -68,4 +69,25 @@ TEST_CASE("the believable span leaves out what chance finds") {
   CHECK(span.low == doctest::Approx(0).epsilon(0.05));
   CHECK(span.high > 18);
   CHECK(span.high < 30);
+}
+
+TEST_CASE("the plan of a run is what the run does, its heights narrowed alike") {
+  const scene::SimulatedScene made = test::village(256, 2);
+  const nn::Model model = nn::load_model(SATSURF_TEST_WEIGHTS);
+  const test::HeldImages held(made);
+  const scene::Scene scene =
+      scene::scene_from_images(held.images(), rpc::HeightRange{made.h_min - 300, made.h_max + 200})
+          .scene;
+  const ReconstructPlan plan = plan_of_run(model, scene, {}),
+                        before = plan_reconstruction(model.config(), scene, {});
+  const Reconstruction run = reconstruct::reconstruct(model, scene, {});
+  CHECK(plan.z_range == run.z_range);
+  CHECK(plan.width == run.dsm.z.dim(1));
+  CHECK(plan.height == run.dsm.z.dim(0));
+  CHECK(plan.east == run.dsm.x0);
+  CHECK(plan.north == run.dsm.y0);
+  CHECK(plan.memory_bytes == run.planned_memory_bytes);
+  CHECK(plan.z_range.span() < before.z_range.span());
+  CHECK((plan.east != before.east || plan.north != before.north));
+  CHECK(plan.megapixels == doctest::Approx(2e-6 * 256 * 256).epsilon(0.2));
 }

@@ -122,7 +122,19 @@ TEST_CASE("memory grows with the images and the surface") {
   const ReconstructPlan meshed = plan_reconstruction(model, small_scene(2), mesh);
   CHECK(meshed.voxel == 0.05);
   CHECK(meshed.memory_bytes > two.memory_bytes);
+  CHECK(meshed.memory_bytes == meshed.mesh_bytes);
   CHECK(two.voxel == 0);
+  CHECK(two.mesh_bytes == 0);
+}
+
+TEST_CASE("a mesh that does not fit into the memory does not stop the surface") {
+  const scene::Scene scene = small_scene(2);
+  ReconstructOptions mesh;
+  mesh.mesh = 1e-5;
+  const ReconstructPlan plan = plan_reconstruction(nn::model_preset("tiny"), scene, mesh);
+  CHECK(plan.mesh_bytes > 1e15);
+  CHECK(plan.surface_bytes < 1e10);
+  CHECK_NOTHROW(check_memory(plan, scene));
 }
 
 TEST_CASE("views of different places are refused") {

@@ -205,7 +205,7 @@ TEST_CASE("what tiles own alone comes from the tile that owns it, rows that are 
       const Tile& tile = tiling.tiles[k];
       if (tile.all.y0 > y0) take(tile.all.y0);
       if (k == 1) continue;  // was not made
-      Tensor part({2, tile.core.height(), tile.core.width()}, static_cast<float>(k));
+      Tensor part({2, tile.all.height(), tile.all.width()}, static_cast<float>(k));
       for (Index i = part.count() / 2; i < part.count(); ++i) part[i] += 100;
       rows.add(tile, part);
     }
@@ -223,6 +223,40 @@ TEST_CASE("what tiles own alone comes from the tile that owns it, rows that are 
     }
     CHECK_THROWS_AS(rows.add(tiling.tiles[0], Tensor({2, 3, 3})), ShapeError);
   }
+}
+
+TEST_CASE("what a tile does not know of its own cells its neighbour says, as in blended rasters") {
+  const Tiling tiling = by_hand(20, 40, 20, 4);
+  const auto value = [](const Tile& tile, Index, Index x) {
+    return tile.column == 0 && x >= 14 ? kNan : static_cast<float>(tile.column + 3);
+  };
+  OwnedRows rows(tiling, 2);
+  for (const std::size_t k : assembly_order(tiling)) {
+    const Tile& tile = tiling.tiles[k];
+    const Index h = tile.all.height(), w = tile.all.width();
+    Tensor part({2, h, w}, kNan);
+    for (Index i = 0; i < h * w; ++i) {
+      part[i] = value(tile, tile.all.y0 + i / w, tile.all.x0 + i % w);
+      // the second is unknown where the first is 3
+      if (part[i] > 3) part[h * w + i] = part[i] + 10;
+    }
+    rows.add(tile, part);
+  }
+  const Index H = tiling.grid.height, W = tiling.grid.width;
+  const Tensor owned = rows.finished(H), heights = blended(tiling, value);
+  for (Index i = 0; i < H * W; ++i) {
+    CAPTURE(i);
+    REQUIRE(std::isfinite(owned[i]) == std::isfinite(heights[i]));
+    if (!std::isfinite(owned[i])) continue;
+    const Index x = i % W;
+    CHECK(owned[i] == (x < 14 ? 3 : 4));
+    if (x < 14)
+      CHECK(std::isnan(owned[H * W + i]));
+    else
+      CHECK(owned[H * W + i] == 14);
+  }
+  CHECK(std::isfinite(heights[17]));
+  CHECK(std::isnan(heights[14]));
 }
 
 TEST_CASE("tiles lie as the images do where that saves pixels") {
@@ -414,7 +448,7 @@ TEST_CASE("a tile whose heights take more than a window has several of them") {
     const Tile& tile = tiling.tiles[0];
     const scene::WindowedScene part =
         scene::read_windows(survey, tiling.ground_of(tile), survey.user.scene.z_range);
-    return reconstruct_tile(model, part, tiling, tile, options);
+    return reconstruct_tile(model, part, tiling, tile, {}, options);
   };
   const TileSurface whole = made_with(1280), parts = made_with(200);
   CHECK(whole.window.height > 200);

@@ -90,6 +90,16 @@ shot turn70 1280 900 "$page#turn=70&tilt=35"
 holds "turned, it looks another" differ turn0 turn70
 shot heights 1280 900 "$page#turn=0&tilt=35&drape=heights"
 holds "draped with heights, too" differ turn0 heights
+# From the lowest row and column of the picture that the surface covers to the highest: their larger share of the window.
+with_script fill "const c = document.getElementById('view'), g = c.getContext('webgl'), w = g.drawingBufferWidth, h = g.drawingBufferHeight, p = new Uint8Array(4 * w * h); g.readPixels(0, 0, w, h, g.RGBA, g.UNSIGNED_BYTE, p); let x0 = w, x1 = 0, y0 = h, y1 = 0; for (let i = 0; i < w * h; ++i) if (p[4 * i + 3]) x0 = Math.min(x0, i % w), x1 = Math.max(x1, i % w), y0 = Math.min(y0, i / w | 0), y1 = Math.max(y1, i / w | 0); document.title = 'fills: ' + Math.round(100 * Math.max((x1 - x0) / w, (y1 - y0) / h)); parent.postMessage(document.title, '*')"
+for width in 390 1280; do
+  cat >fill.html <<END
+<!DOCTYPE html><title>none</title><script>onmessage = (e) => document.title = e.data;</script>
+<iframe src="run/fill.html" style="border:0;width:${width}px;height:800px"></iframe>
+END
+  browser --dump-dom "file://$work/fill.html" >fill.txt
+  holds "the surface fills its window on a page of $width px" grep -qE "<title>fills: (8[5-9]|9[0-9])</title>" fill.txt
+done
 drag() { # TYPE
   echo "const c = document.getElementById('view'); const f = (n, x, y) => c.dispatchEvent(new PointerEvent(n, {pointerId: 1, pointerType: '$1', clientX: x, clientY: y, bubbles: true})); f('pointerdown', 300, 300); f('pointermove', 400, 320); f('pointerup', 400, 320);"
 }
@@ -117,6 +127,9 @@ holds "no script complained" bash -c "! grep -E 'CONSOLE|Refused to' browser.log
 
 # --- on paper --------------------------------------------------------------------------------------------------------
 browser --no-pdf-header-footer --print-to-pdf="$shots/print.pdf" "$page" >/dev/null
+with_script paper "dispatchEvent(new Event('beforeprint')); document.title = 'closed: ' + document.querySelectorAll('details:not([open])').length; dispatchEvent(new Event('afterprint')); document.title += ', then ' + document.querySelectorAll('details:not([open])').length"
+browser --dump-dom "file://$work/run/paper.html" >paper.txt
+holds "what is closed is printed open" grep -q "<title>closed: 0, then 1</title>" paper.txt
 holds "it prints" test "$(stat -c %s "$shots/print.pdf")" -gt 100000
 holds "it is smaller than 3 MB" test "$(stat -c %s run/report.html)" -lt 3000000
 

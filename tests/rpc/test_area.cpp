@@ -9,11 +9,14 @@
 #include <filesystem>
 #include <iterator>
 #include <limits>
+#include <memory>
 #include <string>
 #include <utility>
 
+#include "tests/rpc/quiet_server.h"
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
+#include <ogrsf_frmts.h>
 #include <sys/resource.h>
 
 using namespace satsurf;
@@ -120,6 +123,94 @@ TEST_CASE("what is no polygon is no area, and not looked at") {
   REQUIRE(mixed.rings.size() == 1);
   CHECK(mixed.rings[0].size() == alone.rings[0].size());
   CHECK(mixed.bounds() == alone.bounds());
+}
+
+TEST_CASE("polygons ask no network and leave nothing behind") {
+  const TempFolder folder("area");
+  const test::QuietServer server;
+  write_bytes(folder / "link.geojson",
+              geojson(R"("crs":{"type":"link","properties":{"href":")" + server.url() + R"("}},)"));
+  CHECK(test::error_of<IoError>([&] { read_area(folder / "link.geojson", kZone); }) ==
+        (folder / "link.geojson").string() + ": names " + server.url() +
+            ", expected files on this machine");
+  write_bytes(
+      folder / "a.gml",
+      R"(<wfs:FeatureCollection xmlns:wfs="http://www.opengis.net/wfs" )"
+      R"(xmlns:gml="http://www.opengis.net/gml" xmlns:a="http://a" )"
+      R"(xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:schemaLocation="http://a )" +
+          server.url() +
+          R"("><gml:featureMember><a:b><a:g><gml:Polygon srsName="EPSG:4326">)"
+          R"(<gml:outerBoundaryIs><gml:LinearRing><gml:coordinates>-81,30 -80.9,30 -80.9,30.1 )"
+          R"(-81,30</gml:coordinates></gml:LinearRing></gml:outerBoundaryIs></gml:Polygon></a:g>)"
+          R"(</a:b></gml:featureMember></wfs:FeatureCollection>)");
+  CHECK(test::error_of<IoError>([&] {
+          read_area(folder / "a.gml", kZone);
+        }).starts_with((folder / "a.gml").string() + ": not a vector file that can be read"));
+  CHECK(server.visits() == 0);
+  CHECK(std::distance(std::filesystem::directory_iterator(folder.path()), {}) == 2);
+}
+
+TEST_CASE("a GeoPackage with views, which may have no end, is refused") {
+  const TempFolder folder("area");
+  const std::string path = (folder / "a.gpkg").string();
+  GDALAllRegister();
+  {
+    const std::unique_ptr<GDALDataset> d(GetGDALDriverManager()->GetDriverByName("GPKG")->Create(
+        path.c_str(), 0, 0, 0, GDT_Unknown, nullptr));
+    REQUIRE(d != nullptr);
+    OGRSpatialReference degrees;
+    REQUIRE(degrees.importFromEPSG(4326) == OGRERR_NONE);
+    degrees.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
+    OGRLayer* layer = d->CreateLayer("fields", &degrees, wkbPolygon);
+    REQUIRE(layer != nullptr);
+    OGRFeature feature(layer->GetLayerDefn());
+    OGRGeometry* polygon = nullptr;
+    OGRGeometryFactory::createFromWkt("POLYGON((-81 30,-80.9 30,-80.9 30.1,-81 30))", nullptr,
+                                      &polygon);
+    feature.SetGeometryDirectly(polygon);
+    REQUIRE(layer->CreateFeature(&feature) == OGRERR_NONE);
+  }
+  CHECK(read_area(path, kZone).rings.size() == 1);
+  {
+    const std::unique_ptr<GDALDataset> d(
+        GDALDataset::Open(path.c_str(), GDAL_OF_VECTOR | GDAL_OF_UPDATE));
+    REQUIRE(d != nullptr);
+    d->ExecuteSQL(
+        "CREATE VIEW v AS WITH RECURSIVE r(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM r) "
+        "SELECT i AS fid, NULL AS geom FROM r",
+        nullptr, nullptr);
+    d->ExecuteSQL(
+        "INSERT INTO gpkg_contents (table_name, data_type, identifier, srs_id) "
+        "VALUES ('v', 'features', 'v', 4326)",
+        nullptr, nullptr);
+    d->ExecuteSQL("INSERT INTO gpkg_geometry_columns VALUES ('v', 'geom', 'POLYGON', 4326, 0, 0)",
+                  nullptr, nullptr);
+  }
+  CHECK(test::error_of<IoError>([&] { read_area(path, kZone); }) ==
+        path + ": holds views, expected tables alone; ogr2ogr makes one of a view");
+}
+
+TEST_CASE("more polygons than are drawn around ground are refused, and the wait can be ended") {
+  const TempFolder folder("area");
+  const std::string path = (folder / "many.geojson").string();
+  const auto write = [&](const std::string& begin, const std::string& element, int count,
+                         const std::string& end) {
+    std::string text = begin + element;
+    for (int i = 1; i < count; ++i) text += "," + element;
+    write_bytes(path, text + end);
+  };
+  const std::string ring = "[[-81,30],[-80.9,30],[-80.9,30.1],[-81,30]]";
+  write(R"({"type":"MultiPolygon","coordinates":[)", "[" + ring + "]", 20'001, "]}");
+  const auto says = [&] { return test::error_of<IoError>([&] { read_area(path, kZone); }); };
+  CHECK(says() ==
+        path +
+            ": more than 20000 rings of polygons, expected the polygons around some ground; "
+            "cut or join them (ogr2ogr)");
+  write(R"({"type":"FeatureCollection","features":[)",
+        R"({"type":"Feature","properties":{},"geometry":null})", 100'001, "]}");
+  CHECK(says().starts_with(path + ": more than 100000 features, "));
+  struct Told {};
+  CHECK_THROWS_AS(read_area(path, kZone, [] { throw Told{}; }), Told);
 }
 
 TEST_CASE("a box in degrees becomes the same ground in the zone") {

@@ -163,6 +163,55 @@ TEST_CASE("grids of DFC2019 lie where the text file beside them says, in the zon
   for (Index i = 0; i < here.count(); ++i) CHECK(here[i] == (i % 40 >= 20 ? 1.0F : 0.0F));
 }
 
+TEST_CASE("of a raster of classes the values that are named are the mask") {
+  const TempFolder folder("mask_classes");
+  const GeoTags tags{.unit = "", .type = CellType::uint8, .nodata = 255, .means = false};
+  write_raster(
+      folder / "classes.tif",
+      [](Index row, Index column) {
+        return row < 5 ? std::nanf("") : column < 5 ? 0.0F : column < 10 ? 2.0F : 9.0F;
+      },
+      tags);
+  const GeoGrid grid{kZone.epsg(), kEast, kNorth + 200, 10};
+  const auto masked = [&](const std::vector<double>& values) {
+    return GroundMask(folder / "classes.tif", values).on(grid, 20, 20);
+  };
+  const Tensor all = masked({}), water = masked({9, 17}), ground = masked({0, 2, 255});
+  for (Index i = 0; i < all.count(); ++i) {
+    const bool known = i / 20 >= 5;
+    CHECK(all[i] == (known && i % 20 >= 5 ? 1.0F : 0.0F));
+    CHECK(water[i] == (known && i % 20 >= 10 ? 1.0F : 0.0F));
+    CHECK(ground[i] == (known && i % 20 < 10 ? 1.0F : 0.0F));
+  }
+  write_bytes(folder / "lake.geojson", R"({"type":"Point","coordinates":[0,0]})");
+  CHECK_THROWS_AS(GroundMask(folder / "lake.geojson", {9}), ConfigError);
+}
+
+TEST_CASE("terrain and masks that lie nowhere, and heights on no Earth, are refused") {
+  const TempFolder folder("nowhere");
+  const std::string p = (folder / "x.tif").string();
+  const double nan = std::nan("");
+  for (const auto& [east, north, cell] : {std::array{nan, kNorth, 10.0},
+                                          {1e300, kNorth, 10.0},
+                                          {kEast, INFINITY, 10.0},
+                                          {kEast, kNorth, 1e-300},
+                                          {kEast, kNorth, 1e300}}) {
+    write_raster(p, slope, {});
+    {
+      const std::unique_ptr<GDALDataset> d(
+          GDALDataset::Open(p.c_str(), GDAL_OF_RASTER | GDAL_OF_UPDATE));
+      REQUIRE(d);
+      std::array<double, 6> place{east, cell, 0, north, 0, -cell};
+      REQUIRE(d->SetGeoTransform(place.data()) == CE_None);
+    }
+    CHECK(test::error_of<IoError>([&] { Terrain{p}; }).starts_with(p + ": a grid at ("));
+    CHECK(test::error_of<IoError>([&] { GroundMask{p}; }).starts_with(p + ": a grid at ("));
+  }
+  write_raster(p, [](Index, Index column) { return column == 9 ? 1e38F : 30.0F; }, {});
+  CHECK(test::error_of<IoError>([&] { Terrain(p).over(kZone, kGround); }) ==
+        p + ": heights from 30 to 1e+38 m, expected at most 1000 km either way");
+}
+
 TEST_CASE("terrain in feet is refused") {
   const TempFolder folder("terrain_feet");
   const GeoTags tags{.unit = "ft"};

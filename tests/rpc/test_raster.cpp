@@ -270,6 +270,29 @@ TEST_CASE("rasters that lie nowhere are refused") {
   }
 }
 
+TEST_CASE("rasters of cells that no sensor has are refused") {
+  const test::TempFolder scratch("raster");
+  const std::string p = (scratch / "x.tif").string();
+  plain_tiff(p, {10, 1e-300, 0, 20, 0, -1e-300}, 32617);
+  CHECK(
+      test::error_of<IoError>([&] { read_geo_raster(p); }) ==
+      p + ": a grid at (10, 20) of cells of 1e-300 m, expected finite numbers of at most 1e8 m and "
+          "cells of 0.001 m or more");
+  plain_tiff(p, {10, 0.001, 0, 20, 0, -0.001}, 32617);
+  CHECK(test::error_of<IoError>([&] { read_geo_raster(p); }) == "no exception");
+}
+
+TEST_CASE("heights that are on no Earth are refused by the cell") {
+  Tensor z({2, 3}, 1e6F);
+  z[1] = std::nanf("");
+  require_heights("x.tif", z);
+  z[5] = -1e38F;
+  CHECK(
+      test::error_of<IoError>([&] { require_heights("x.tif", z); }) ==
+      "x.tif: a height of -1e+38 m in column 2, row 1, expected at most 1000 km either way; nodata "
+      "that the file does not declare?");
+}
+
 TEST_CASE("rasters that their files cannot hold are refused before they take memory") {
   const test::TempFolder scratch("raster");
   const std::string p = (scratch / "x.tif").string();
@@ -293,7 +316,9 @@ TEST_CASE("rasters that their files cannot hold are refused before they take mem
   const std::string text = sparse(20000);
   CAPTURE(text);
   CHECK(text.starts_with(p + ": 20000 x 20000 px of 1 band, "));
-  CHECK(text.ends_with(", expected at least a byte for every 100000; empty or damaged?"));
+  CHECK(text.ends_with(", expected at least a byte for every 20000; empty or damaged?"));
+  CHECK(sparse(2000) == "no exception");  // 16 MB
+  CHECK(sparse(8100).starts_with(p + ": 8100 x 8100 px of 1 band, "));
   CHECK(test::error_of<IoError>([&] { rpc::read_image(p); }).ends_with("empty or damaged?"));
 
   // Few pixels in blocks that are not few: GDAL reads a block whole, here a gigabyte.

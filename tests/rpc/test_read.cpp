@@ -18,11 +18,13 @@
 
 #include "tests/ref/rpc_data.h"
 #include "tests/ref/rpc_dialects.h"
+#include "tests/rpc/quiet_server.h"
 #include "tests/temp_folder.h"
 #include <cpl_error.h>
 #include <cpl_string.h>
 #include <doctest/doctest.h>
 #include <gdal_priv.h>
+#include <ogr_spatialref.h>
 #include <sys/stat.h>
 
 using namespace satsurf;
@@ -406,6 +408,133 @@ TEST_CASE("rasters are opened by known drivers, and nothing is asked of a networ
   trust_drivers({});
 }
 
+/// A raster of PCIDSK of one channel.
+static void plain_pcidsk(const std::filesystem::path& path) {
+  auto* driver = GetGDALDriverManager()->GetDriverByName("PCIDSK");
+  REQUIRE(driver != nullptr);
+  GDALClose(driver->Create(path.c_str(), 4, 4, 1, GDT_Byte, nullptr));
+}
+
+TEST_CASE("whatever a raster names, no network is asked and no pipe waited for") {
+  const TempFolder folder("names");
+  const test::QuietServer server;
+  plain_tiff(folder / "a.tif", 4, 4, 1, GDT_Byte);
+  REQUIRE(::mkfifo((folder / "pipe.tif").c_str(), 0600) == 0);
+  const auto says = [&](const char* name, const std::string& text) {
+    const std::string path = (folder / name).string();
+    write_bytes(path, text);
+    const std::string error = error_of<IoError>([&] { read_image(path); });
+    return error.starts_with(path + ": ") ? error.substr(path.size() + 2) : "no prefix: " + error;
+  };
+  const auto dimap = [&](const std::string& tile) {
+    return says(
+        "dim.xml",
+        R"(<Dimap_Document><Metadata_Id><METADATA_FORMAT version="1.1">DIMAP</METADATA_FORMAT></Metadata_Id>)"
+        R"(<Raster_Dimensions><NCOLS>4</NCOLS><NROWS>4</NROWS><NBANDS>1</NBANDS></Raster_Dimensions>)"
+        R"(<Data_Access><Data_File><DATA_FILE_PATH href=")" +
+            tile + R"("/></Data_File></Data_Access></Dimap_Document>)");
+  };
+  CHECK(dimap("a.tif") == "no prefix: no exception");
+  for (const std::string& tile :
+       {server.url(), "/vsicurl/" + server.url(), std::string("pipe.tif")}) {
+    CAPTURE(tile);
+    CHECK(dimap(tile).starts_with("not a raster that can be read"));
+  }
+  plain_pcidsk(folder / "plain.pix");
+  const auto pcidsk = [&](std::string channel) {
+    std::string bytes = test::read_bytes(folder / "plain.pix");
+    const auto headers = static_cast<std::size_t>(std::stoi(bytes.substr(336, 16)) - 1) * 512;
+    channel.resize(64, ' ');
+    bytes.replace(headers + 64, 64, channel);
+    return says("a.pix", bytes);
+  };
+  CHECK(pcidsk("") == "no prefix: no exception");
+  for (const std::string& name : {server.url(), std::string("pipe.tif"), std::string("LNK=   1")}) {
+    CAPTURE(name);
+    CHECK(pcidsk(name) == "a channel lies in \"" + name +
+                              "\", expected it in the file or in another on this machine");
+  }
+  const auto vrt = [&](const std::string& more) {
+    return says("a.vrt", R"(<VRTDataset rasterXSize="4" rasterYSize="4">)" + more +
+                             R"(<VRTRasterBand dataType="Byte" band="1"><SimpleSource>)"
+                             R"(<SourceFilename relativeToVRT="1">a.tif</SourceFilename>)"
+                             "</SimpleSource></VRTRasterBand></VRTDataset>");
+  };
+  const std::string refusal = "names \"" + server.url() + "\", expected files on this machine";
+  for (const char* key : {"OVERVIEW_FILE", "X_DATASET", "Y_DATASET"})
+    CHECK(vrt("<Metadata domain=\"OVERVIEWS\"><MDI key=\"" + std::string(key) + "\">" +
+              server.url() + "</MDI></Metadata>") == refusal);
+  CHECK(vrt("<DEMPath>" + server.url() + "</DEMPath>") == refusal);
+  CHECK(vrt("<Metadata><MDI key=\"ABOUT\">" + server.url() + "</MDI></Metadata>") ==
+        "no prefix: no exception");
+  CHECK(server.visits() == 0);
+}
+
+TEST_CASE("VRTs that name each other are looked at once, and read no more than can be read") {
+  const TempFolder folder("fan");
+  plain_tiff(folder / "a.tif", 4, 4, 1, GDT_Byte);
+  const auto write = [&](int number, const std::string& source, int times) {
+    std::string text =
+        R"(<VRTDataset rasterXSize="4" rasterYSize="4"><VRTRasterBand dataType="Byte" band="1">)";
+    std::string spelled = source;  // the same file in many ways
+    for (int i = 0; i < times; ++i, spelled.insert(0, "./"))
+      text += "<SimpleSource><SourceFilename relativeToVRT=\"1\">" + spelled +
+              "</SourceFilename><SourceBand>1</SourceBand></SimpleSource>";
+    write_bytes(folder / ("v" + std::to_string(number) + ".vrt"),
+                text + "</VRTRasterBand></VRTDataset>");
+  };
+  const std::string top = (folder / "v0.vrt").string();
+  const auto says = [&](int times) {
+    for (int i = 0; i < 8; ++i)
+      write(i, i == 7 ? "a.tif" : "v" + std::to_string(i + 1) + ".vrt", times);
+    return error_of<IoError>([&] { read_info(top); });
+  };
+  CHECK(says(1) == "no exception");
+  CHECK(says(2) == "no exception");
+  CHECK(says(8) == top +
+                       ": a VRT that reads 1.67772e+07 rasters, counted as often as it names them, "
+                       "expected at most 100000");
+}
+
+TEST_CASE("drivers that this GDAL has not are refused by name") {
+  const std::string error = error_of<ConfigError>([] { trust_drivers({"HDF6"}); });
+  trust_drivers({});
+  CHECK(error.starts_with(
+      "gdal_drivers: HDF6 is no driver of this GDAL, did you mean HDF4? expected some of "));
+  CHECK(error.find(", PNM,") != std::string::npos);
+}
+
+TEST_CASE("a camera that sees no ground is refused with the name of its image") {
+  const TempFolder folder("blind");
+  const std::string image = (folder / "v.tif").string();
+  plain_tiff(image, 64, 64, 1, GDT_Byte);
+  const auto says = [&](double Rpc::*member, double value) {
+    Rpc rpc = test::synthetic_rpc();
+    rpc.*member = value;
+    write_bytes(folder / "v_RPC.TXT", as_text(rpc));
+    return error_of<IoError>([&] { open_view(image); });
+  };
+  CHECK(says(&Rpc::lat_off, test::synthetic_rpc().lat_off) == "no exception");
+  CHECK(says(&Rpc::lat_off, 90)
+            .starts_with(image + ": its camera sees no ground; Rpc::localize: latitude "));
+  Rpc mirrored = test::synthetic_rpc();
+  for (double& c : mirrored.samp_num) c = -c;
+  write_bytes(folder / "v_RPC.TXT", as_text(mirrored));
+  CHECK(error_of<IoError>([&] {
+          view_info(image);
+        }).starts_with(image + ": its camera sees no ground; view_geometry: "));
+}
+
+TEST_CASE("an image that is a link lies where the link does") {
+  const TempFolder folder("links");
+  std::filesystem::create_directories(folder / "store");
+  std::filesystem::create_directories(folder / "set");
+  plain_tiff(folder / "store/v.tif", 9, 7, 1, GDT_Byte);
+  write_bytes(folder / "set/v.json", as_satnerf(test::synthetic_rpc(), "v.tif", 9, 7).dump());
+  std::filesystem::create_symlink("../store/v.tif", folder / "set/v.tif");
+  CHECK(open_view(folder / "set/v.json").info.width == 9);
+}
+
 TEST_CASE("JSON that is hostile is refused by name, wherever it is read") {
   const TempFolder folder("hostile");
   const std::string p = (folder / "v.json").string();
@@ -468,6 +597,24 @@ TEST_CASE("what is no regular file is refused before anybody waits for it") {
         "/dev/zero: is a device, expected a raster");
   CHECK(error_of<IoError>([&] { read_info(folder.path()); }) ==
         folder.path().string() + ": is a folder, expected a raster");
+}
+
+TEST_CASE("pipes beside an image are refused before GDAL waits for them") {
+  const TempFolder folder("beside");
+  const std::string p = (folder / "v.tif").string();
+  write_rpc_geotiff(p, Tensor({1, 7, 9}, 5), PixelType::uint8, test::synthetic_rpc());
+  for (const std::string name : {"v_RPC.TXT", "v_rpc.txt", "v.RPB", "v.XML", "v.IMD", "v.tif.ovr",
+                                 "v.tif.msk", "v.tif.aux.xml", "v_metadata.txt"}) {
+    const std::string pipe = (folder / name).string();
+    REQUIRE(::mkfifo(pipe.c_str(), 0600) == 0);
+    for (const auto& read : {+[](const std::string& file) { read_info(file); },
+                             +[](const std::string& file) { open_view(file); }})
+      CHECK(error_of<IoError>([&] { read(p); }) ==
+            pipe + ": is a pipe, expected a file or nothing under this name beside " + p);
+    std::filesystem::remove(pipe);
+  }
+  REQUIRE(::mkfifo((folder / "notes").c_str(), 0600) == 0);
+  CHECK(open_view(p).info.width == 9);
 }
 
 TEST_CASE("a view is a raster or a JSON that names one") {
@@ -759,4 +906,43 @@ TEST_CASE("real images: cameras from the tag and from the JSON files") {
   CHECK(sum / static_cast<double>(rgb.count()) > 0.15);
   CHECK(sum / static_cast<double>(rgb.count()) < 0.85);
   CHECK(image.info.rpc->cropped(0, 0) == *image.info.rpc);
+}
+
+TEST_CASE("pixels that a file has lost are found without keeping any") {
+  const TempFolder folder("read_cut");
+  const auto whole = folder / "whole.tif", cut = folder / "cut.tif", png = folder / "whole.png";
+  plain_tiff(whole, 64, 300, 2, GDT_Float32);
+  CHECK_NOTHROW(check_pixels(whole));
+  std::string bytes = read_text_file(whole, "");
+  write_bytes(cut, bytes.substr(0, bytes.size() * 2 / 3));
+  CHECK(error_of<IoError>([&] {
+          check_pixels(cut);
+        }).find("cut.tif: the pixels cannot be read from row ") != std::string::npos);
+
+  plain_tiff(whole, 64, 300, 1, GDT_Byte);
+  auto* driver = GetGDALDriverManager()->GetDriverByName("PNG");
+  std::unique_ptr<GDALDataset> from(GDALDataset::Open(whole.c_str()));
+  std::unique_ptr<GDALDataset>(
+      driver->CreateCopy(png.c_str(), from.get(), 0, nullptr, nullptr, nullptr));
+  CHECK_NOTHROW(check_pixels(png));
+  bytes = read_text_file(png, "");
+  write_bytes(folder / "cut.png", bytes.substr(0, bytes.size() / 2));
+  CHECK(error_of<IoError>([&] {
+          check_pixels(folder / "cut.png");
+        }).find("expected a whole file") != std::string::npos);
+}
+
+TEST_CASE("a system of no place on the Earth is no georeference") {
+  const TempFolder folder("read_local");
+  const auto file = folder / "local.tif";
+  plain_tiff(file, 4, 4, 1, GDT_Byte);
+  {
+    const std::unique_ptr<GDALDataset> d(GDALDataset::Open(file.c_str(), GDAL_OF_UPDATE));
+    OGRSpatialReference local;
+    local.SetLocalCS("somewhere");
+    REQUIRE(d->SetSpatialRef(&local) == CE_None);
+  }
+  const RasterInfo info = read_info(file);
+  CHECK(info.crs.empty());
+  CHECK(info.local_crs == "somewhere");
 }

@@ -129,6 +129,17 @@ TEST_CASE("a system that is made for elsewhere is refused") {
   CHECK_NOTHROW(check_area_of_use(fiji, 178, -18));
   CHECK_NOTHROW(check_area_of_use(fiji, -179.5, -18));
   CHECK_THROWS_AS(check_area_of_use(fiji, 0, -18), ConfigError);
+  const std::string said =
+      test::error_of<ConfigError>([&] { check_area_of_use(belgian, 4.4, 54); });
+  CHECK(said.find("EPSG:31370 is for Belgium - onshore (lon 2.5 to 6.4, ") != std::string::npos);
+  // a name of many countries is told to its end, one of a page is not
+  const auto place = [&](const char* code) {
+    return test::error_of<ConfigError>([&] { check_area_of_use(projected_crs(code), 4.4, -54); });
+  };
+  CHECK(place("EPSG:32636").find("Uganda. Ukraine (lon ") != std::string::npos);
+  const std::string maine = place("EPSG:3463");
+  CHECK(maine.size() < 800);
+  CHECK(maine.find(" ... (lon ") != std::string::npos);
   CHECK_NOTHROW(check_area_of_use(projected_crs("EPSG:3857"), 4.4, 50.8));
   CHECK_NOTHROW(check_area_of_use(projected_crs("+proj=tmerc +lon_0=5 +datum=WGS84"), 5, 50));
 }

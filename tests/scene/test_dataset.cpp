@@ -248,7 +248,7 @@ TEST_CASE("a data set with a camera that sees nothing is refused by the name of 
   rpc::write_rpc_geotiff(image, Tensor({1, 32, 32}, 9.F), rpc::PixelType::uint8, camera);
   CHECK(test::error_of<IoError>([&] {
           load_scene(folder.path(), "S");
-        }).starts_with(image.string() + ": Rpc::localize: residual "));
+        }).starts_with(image.string() + ": its camera sees no ground; Rpc::localize: residual "));
 }
 
 TEST_CASE("a Sat-NeRF folder holds the same scene as Track3 files") {

@@ -242,3 +242,39 @@ TEST_CASE("scene_from_views") {
         Error);
   }
 }
+
+TEST_CASE("a mask that leaves nothing of the images is named") {
+  const Folder folder;
+  const std::vector<fs::path> files{folder.image("a.tif", camera(60, 40, 1)),
+                                    folder.image("b.tif", camera(60, 40, -1))};
+  const rpc::UtmZone zone = rpc::utm_zone_of(20, 10);
+  const auto middle = rpc::utm_from_geodetic(zone, 20, 10);
+  const rpc::GeoGrid grid{zone.epsg(), middle[0] - 50, middle[1] + 50, 1};
+  const auto masked_by = [&](Index first_row) {
+    Tensor classes({100, 100}, 2.F);  // of ground all over, and water in the south
+    for (Index i = first_row * 100; i < classes.count(); ++i) classes[i] = 9;
+    rpc::write_geo_raster(folder.path / "classes.tif", classes, grid, {.unit = ""});
+    return folder.path / "classes.tif";
+  };
+  const auto made_under = [&](const fs::path& mask, const std::vector<double>& values) {
+    ViewRules rules;
+    rules.pointing.measure = false;
+    rules.mask = std::make_shared<rpc::GroundMask>(mask, values);
+    scene_from_views(files, {}, rpc::HeightRange{0, 40}, {}, rules);
+  };
+  const fs::path mask = masked_by(50);
+  CHECK_NOTHROW(made_under(mask, {9}));
+  for (const std::vector<double>& values : {std::vector<double>{}, std::vector<double>{2, 9}}) {
+    std::string said = "accepted";
+    try {
+      made_under(mask, values);
+    } catch (const Error& e) {
+      said = e.what();
+    }
+    CHECK(said ==
+          mask.string() +
+              ": the mask leaves 0 % of the ground that two images see, expected 1 % or more; "
+              "--mask takes away all cells of a raster but those of 0 and nodata, --mask-values "
+              "those of some values");
+  }
+}

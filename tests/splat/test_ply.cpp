@@ -13,6 +13,7 @@
 
 #include "tests/gradcheck.h"
 #include "tests/ref/splat_ref.h"
+#include "tests/temp_folder.h"
 #include <unistd.h>
 
 namespace satsurf::test {
@@ -236,6 +237,33 @@ TEST_CASE("ply: numbers that are no surfel's are refused") {
         "the length of the quaternion of vertex 2 is 0, expected a rotation");
   CHECK(with(13, {1e30F, 0, 0, 0})
             .starts_with("the length of the quaternion of vertex 2 is 1e+30, expected"));
+}
+
+TEST_CASE("ply: files are joined if every surfel of theirs can be read") {
+  const TemporaryFile one("one.ply"), two("two.ply"), all("all.ply");
+  splat::write_ply(one.path, random_surfels<float>(3, 0, 9, 9, 1), {});
+  splat::write_ply(two.path, random_surfels<float>(40000, 0, 9, 9, 2), {});
+  CHECK(splat::join_ply(all.path, {one.path, two.path}, {"c"}) == std::vector<Index>{3, 40000});
+  const splat::PlyContent joined = splat::read_ply(all.path);
+  CHECK(joined.comments == std::vector<std::string>{"c"});
+  CHECK(joined.surfels.means.dim(0) == 40003);
+  CHECK(joined.surfels.means.value()[3 * 40002] ==
+        splat::read_ply(two.path).surfels.means.value()[3 * 39999]);
+  const std::string bytes = two.bytes();
+  const auto refusal = [&](std::size_t first, float value) {  // in the last surfel's row
+    std::string changed = bytes;
+    std::memcpy(changed.data() + changed.size() - 4 * (17 - first), &value, 4);
+    two.write(changed);
+    return test::error_of<IoError>([&] { splat::join_ply(all.path, {one.path, two.path}, {}); });
+  };
+  const std::string front = "read_ply: " + two.path.string() + ": ";
+  CHECK(refusal(4, std::numeric_limits<float>::quiet_NaN()) ==
+        front + "property ny of vertex 39999 is nan, expected a finite number");
+  CHECK(refusal(0, 1e38F).starts_with(front + "a coordinate of vertex 39999 is 1e+38"));
+  CHECK(refusal(10, 1000).starts_with(front + "a scale of vertex 39999 is inf"));
+  two.write(bytes.substr(0, bytes.size() - 16) + std::string(16, '\0'));
+  CHECK(test::error_of<IoError>([&] { splat::join_ply(all.path, {two.path}, {}); }) ==
+        front + "the length of the quaternion of vertex 39999 is 0, expected a rotation");
 }
 
 TEST_CASE("ply: what cannot be written is refused and leaves no file") {

@@ -409,6 +409,14 @@ TEST_CASE("samples are a function of seed and step") {
   CHECK(pixels(a) != pixels(c));
 }
 
+TEST_CASE("windows that no memory holds are refused before anything is read") {
+  TrainConfig config = tiny(1);
+  config.crop = 1 << 20;
+  CHECK(test::error_of<Error>([&] {
+          train::train(config, "nowhere", 1, {}, {});
+        }).starts_with("train: windows of 1048576 px of 4 images need about "));
+}
+
 TEST_CASE("settings without effect are told") {
   TrainConfig config = tiny(1);  // has no monocular branch
   CHECK(idle_settings(config) ==

@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+// What GDAL may reach while it reads for us. A file may name others (the tiles of a DIMAP, the model of
+// heights of a VRT, overviews), and each driver opens them in its own way, so that the doors are shut
+// here and not driver by driver.
+#include "satsurf/rpc/drivers.h"
+#include "satsurf/rpc/gdal.h"
+
+#include <cerrno>
+#include <string>
+#include <utility>
+
+#include <cpl_http.h>
+#include <cpl_vsi_virtual.h>
+#include <sys/stat.h>
+
+namespace satsurf::rpc {
+namespace {
+
+thread_local int scopes = 0;           ///< alive in this thread
+thread_local std::string refused_url;  ///< the first that was asked for in them
+
+constexpr const char* kPam = "GDAL_PAM_ENABLED";
+/// The one remote file that may be opened.
+constexpr const char* kRemote = "CPL_VSIL_CURL_ALLOWED_FILENAME";
+constexpr const char* kStdin = "CPL_ALLOW_VSISTDIN";
+
+/// Stands for GDAL's requests of HTTP and FTP.
+CPLHTTPResult* refuse_request(const char* url, CSLConstList, GDALProgressFunc, void*,
+                              CPLHTTPFetchWriteFunc, void*, void*) {
+  if (refused_url.empty()) refused_url = url;
+  const std::string text = std::string(url) + ": nothing is asked of a network";
+  CPLError(CE_Failure, CPLE_HttpResponse, "%s", text.c_str());
+  auto* result = static_cast<CPLHTTPResult*>(CPLCalloc(1, sizeof(CPLHTTPResult)));
+  result->nStatus = 1;  // any of curl's failures
+  result->pszErrBuf = CPLStrdup(text.c_str());
+  return result;
+}
+
+/// The file system, less what is no file: a pipe would wait for a writer, a device may never end.
+class OnlyFiles : public VSIFilesystemHandler {
+ public:
+  /// all  GDAL's own, which lives on in this
+  explicit OnlyFiles(VSIFilesystemHandler* all) : all_(all) {}
+
+  VSIVirtualHandle* Open(const char* name, const char* access, bool set_error,
+                         CSLConstList options) override {
+    struct stat found {};
+    if (scopes > 0 && ::stat(name, &found) == 0 && !S_ISREG(found.st_mode) &&
+        !S_ISDIR(found.st_mode)) {
+      CPLError(CE_Failure, CPLE_OpenFailed, "%s: a pipe, socket or device, expected a file", name);
+      errno = EINVAL;
+      return nullptr;
+    }
+    return all_->Open(name, access, set_error, options);
+  }
+  int Stat(const char* name, VSIStatBufL* out, int flags) override {
+    return all_->Stat(name, out, flags);
+  }
+  int Unlink(const char* name) override { return all_->Unlink(name); }
+  int Mkdir(const char* name, long mode) override { return all_->Mkdir(name, mode); }
+  int Rmdir(const char* name) override { return all_->Rmdir(name); }
+  char** ReadDirEx(const char* name, int most) override { return all_->ReadDirEx(name, most); }
+  char** SiblingFiles(const char* name) override { return all_->SiblingFiles(name); }
+  int Rename(const char* from, const char* to) override { return all_->Rename(from, to); }
+  int IsCaseSensitive(const char* name) override { return all_->IsCaseSensitive(name); }
+  GIntBig GetDiskFreeSpace(const char* name) override { return all_->GetDiskFreeSpace(name); }
+  int SupportsSparseFiles(const char* name) override { return all_->SupportsSparseFiles(name); }
+  VSIDIR* OpenDir(const char* name, int depth, const char* const* options) override {
+    return all_->OpenDir(name, depth, options);
+  }
+
+ private:
+  std::unique_ptr<VSIFilesystemHandler> all_;
+};
+
+/// What holds for the process, once.
+void prepare_gdal() {
+  static const bool done = [] {
+    register_drivers();
+    VSIFileManager::InstallHandler("", new OnlyFiles(VSIFileManager::GetHandler("")));
+    return true;
+  }();
+  static_cast<void>(done);
+}
+
+}  // namespace
+
+GdalScope::GdalScope() {
+  prepare_gdal();
+  for (const auto& [name, value] : {std::pair{kPam, "NO"}, {kRemote, "none"}, {kStdin, "NO"}}) {
+    const char* old = CPLGetThreadLocalConfigOption(name, nullptr);
+    before_.emplace_back(name, old ? std::optional<std::string>(old) : std::nullopt);
+    CPLSetThreadLocalConfigOption(name, value);
+  }
+  CPLHTTPPushFetchCallback(refuse_request, nullptr);
+  if (scopes++ == 0) refused_url.clear();
+  CPLPushErrorHandler(CPLQuietErrorHandler);
+  CPLErrorReset();
+}
+
+GdalScope::~GdalScope() {
+  CPLPopErrorHandler();
+  --scopes;
+  CPLHTTPPopFetchCallback();
+  for (const auto& [name, value] : before_)
+    CPLSetThreadLocalConfigOption(name, value ? value->c_str() : nullptr);
+}
+
+void check_requests(const std::filesystem::path& path) {
+  if (refused_url.empty()) return;
+  const std::string url = std::exchange(refused_url, {});
+  throw IoError(path.string() + ": names " + url.substr(0, 200) +
+                ", expected files on this machine");
+}
+
+}  // namespace satsurf::rpc
