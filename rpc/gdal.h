@@ -55,6 +55,8 @@ std::string format_of(const std::string& name);
 
 /// A list as GDAL takes them, ended by a null pointer. The texts stay with their owner.
 std::vector<const char*> list_of(const std::vector<std::string>& texts);
+std::vector<const char*> list_of(std::vector<std::string>&& texts) =
+    delete;  // it would point at nothing
 
 /// GDAL's last message on one line.
 inline std::string gdal_error() {

@@ -49,17 +49,17 @@ DatasetPtr open_raster(const fs::path& path) {
     throw IoError(name +
                   ": a name of GDAL's virtual file systems, expected a file on this machine");
   require_file(path, "a raster");
-  const std::vector<std::string> beside = names_beside(path);
+  // GDAL itself lists no folder of more than a thousand and asks for each name instead.
+  constexpr std::size_t kMostBeside = 1000;
+  std::vector<std::string> beside = names_beside(path);
+  if (beside.size() > kMostBeside) beside.clear();
   check_format(path);
   const std::vector<std::string> names = raster_drivers();
   const std::vector<const char*> list = list_of(names);
-  // GDAL itself lists no folder of more than a thousand and asks for each name instead.
-  constexpr std::size_t kMostBeside = 1000;
-  const bool few = !beside.empty() && beside.size() <= kMostBeside;
-  const std::vector<const char*> siblings = list_of(few ? beside : std::vector<std::string>());
+  const std::vector<const char*> siblings = list_of(beside);  // which has to outlive it
   const unsigned flags = GDAL_OF_RASTER | GDAL_OF_READONLY | GDAL_OF_VERBOSE_ERROR;
-  DatasetPtr d(GDALDataset::FromHandle(
-      GDALOpenEx(name.c_str(), flags, list.data(), nullptr, few ? siblings.data() : nullptr)));
+  DatasetPtr d(GDALDataset::FromHandle(GDALOpenEx(name.c_str(), flags, list.data(), nullptr,
+                                                  beside.empty() ? nullptr : siblings.data())));
   check_requests(path);
   if (!d)
     throw IoError(name + ": not a raster that can be read, expected GeoTIFF, NITF or alike; " +

@@ -23,14 +23,14 @@ get_target_property(splat_sources satsurf_splat SOURCES)
 list(REMOVE_ITEM splat_sources splat/ply.cpp)
 get_target_property(scene_sources satsurf_scene SOURCES)
 list(FILTER scene_sources EXCLUDE REGEX "^scene/(simulate/|pointing_file)")
-set(fuzzed ${splat_sources} ${scene_sources} reconstruct/plan.cpp reconstruct/tile_cut.cpp reconstruct/tiling.cpp app/picture.cpp app/record.cpp
+set(fuzzed ${splat_sources} ${scene_sources} reconstruct/plan.cpp reconstruct/tile_cut.cpp reconstruct/tiling.cpp app/log.cpp app/picture.cpp app/record.cpp
     app/sha256.cpp app/tile_store.cpp)
 list(TRANSFORM fuzzed PREPEND ${PROJECT_SOURCE_DIR}/)
 add_library(satsurf_fuzzed STATIC ${fuzzed})
 foreach(room nn ops ops_baseline ops_avx2 ops_avx512 splat_baseline splat_avx2 splat_avx512)
   target_sources(satsurf_fuzzed PRIVATE $<TARGET_OBJECTS:satsurf_${room}>)
 endforeach()
-target_link_libraries(satsurf_fuzzed PUBLIC satsurf_fuzzed_readers fmt::fmt OpenImageIO::OpenImageIO OpenSSL::Crypto)
+target_link_libraries(satsurf_fuzzed PUBLIC satsurf_fuzzed_readers spdlog::spdlog fmt::fmt OpenImageIO::OpenImageIO OpenSSL::Crypto)
 
 # Comparisons of numbers in inner loops teach the search nothing and take half of the time of `cameras` and `scene`.
 set(numeric rpc/fit.cpp rpc/frame.cpp rpc/model.cpp scene/grey_pyramid.cpp scene/height_range.cpp scene/tie_points.cpp)
