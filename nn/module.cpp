@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/module.h"
 
+#include "satsurf/core/hash.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/nn/parameter_limit.h"
 
@@ -9,13 +10,6 @@
 
 namespace satsurf::nn {
 namespace {
-
-/// FNV-1a: ties a parameter's random stream to its name.
-std::uint64_t hash_of(const std::string& name) {
-  std::uint64_t h = 0xcbf29ce484222325;
-  for (const char c : name) h = (h ^ static_cast<unsigned char>(c)) * 0x100000001b3;
-  return h;
-}
 
 void append_some(std::string& text, const char* what, const std::vector<std::string>& names) {
   if (names.empty()) return;
@@ -53,7 +47,7 @@ BasicVar<T> ParameterSet<T>::create(const std::string& name, const Shape& shape,
   if (limit != nullptr) limit->count(shape);
   BasicTensor<T> value(shape, static_cast<T>(init.value));
   if (init.kind == Init::Kind::kaiming && limit == nullptr) {
-    Rng rng(seed_, hash_of(name));
+    Rng rng(seed_, fnv1a(name));  // a stream of its own for each name
     const double sigma = std::sqrt(2.0 / static_cast<double>(init.fan_in));
     for (T& v : value.values()) v = static_cast<T>(sigma * rng.normal());
   }

@@ -100,9 +100,10 @@ double lift_deviation(const scene::Pointing& pointing, const scene::Scene& scene
     for (const std::size_t k : {0, 1}) mean[k] += g.direction[k] / n;
   double moved = 0, shifts = 0;
   for (std::size_t i = 0; i < geometry.size(); ++i) {
-    const auto& [direction, footprint] = std::pair(geometry[i].direction, geometry[i].footprint);
-    moved += std::pow(std::hypot(direction[0] - mean[0], direction[1] - mean[1]) / footprint, 2);
-    shifts += std::pow(std::hypot(pointing.shifts[i].x, pointing.shifts[i].y), 2);
+    const auto& [x, y] = pointing.shifts[i];
+    shifts += x * x + y * y;
+    for (const std::size_t k : {0, 1})
+      moved += std::pow((geometry[i].direction[k] - mean[k]) / geometry[i].footprint, 2);
   }
   return std::sqrt(shifts / (2 * n - 3) / moved);
 }

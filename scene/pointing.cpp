@@ -2,6 +2,7 @@
 #include "satsurf/scene/pointing.h"
 
 #include "satsurf/core/error.h"
+#include "satsurf/core/hash.h"
 
 #include <algorithm>
 #include <bit>
@@ -148,11 +149,11 @@ std::optional<double> mean_across(const std::vector<PairResidual>& pairs) {
 }
 
 std::string camera_mark(const rpc::Rpc& c) {
-  std::uint64_t hash = 0xcbf29ce484222325U;  // FNV-1a
+  std::string bytes;
   const auto add = [&](double value) {
     // Zero has two signs and one meaning.
     std::uint64_t bits = std::bit_cast<std::uint64_t>(value == 0 ? 0.0 : value);
-    for (int byte = 0; byte < 8; ++byte, bits >>= 8) hash = (hash ^ (bits & 0xff)) * 0x100000001b3U;
+    for (int byte = 0; byte < 8; ++byte, bits >>= 8) bytes += static_cast<char>(bits & 0xff);
   };
   for (const double v : {c.line_off, c.samp_off, c.lat_off, c.lon_off, c.height_off, c.line_scale,
                          c.samp_scale, c.lat_scale, c.lon_scale, c.height_scale})
@@ -160,7 +161,7 @@ std::string camera_mark(const rpc::Rpc& c) {
   for (const auto* row : {&c.line_num, &c.line_den, &c.samp_num, &c.samp_den})
     for (const double v : *row) add(v);
   char text[17];
-  std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(hash));
+  std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(fnv1a(bytes)));
   return text;
 }
 
