@@ -202,6 +202,7 @@ Exposures Exposures::among(const std::vector<std::size_t>& chosen) const {
 Exposures exposures_of(const std::vector<nn::PosedImage>& images, double z) {
   constexpr Index kTried = 128;  // points a side
   const std::size_t N = images.size();
+  if (N < 3) return {};  // nobody is outvoted by one other
   const auto [x0, y0, x1, y1] = seen_by(images, z);
   std::vector<float> shown(N * kTried * kTried);
   for_each_index(static_cast<Index>(N) * kTried, [&](Index line) {

@@ -31,7 +31,8 @@ struct Exposures {
   Exposures among(const std::vector<std::size_t>& chosen) const;
 };
 
-/// Measures them at points spread over the ground.
+/// Measures them at points spread over the ground; nothing of fewer than three images, of which none is
+/// outvoted.
 /// images  whole, or reduced copies of whole ones
 /// z       of the ground, local m
 Exposures exposures_of(const std::vector<nn::PosedImage>& images, double z);
