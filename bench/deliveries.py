@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 # SPDX-License-Identifier: Apache-2.0
 """What vendors deliver, made from three images of one simulated scene, and what becomes of it.
 
@@ -11,8 +11,9 @@ CASE     names of the cases to try; without one all of them
 
 Every case is the same scene, delivered another way: the images turned or cropped with their cameras exactly with them, in
 other formats and depths, with borders, clouds or cameras that are off, or reconstructed with other height ranges. A line
-for each: mean error of the cells found after a shift (what images tell of a place is relative), that of the plain case, cells found, what was warned of.
-Needs GDAL's programs (Debian: gdal-bin).
+for each: mean error of the cells found after a shift (what images tell of a place is relative), how many times that of the
+plain case on the cells that both have found, cells found, what was warned of. Needs GDAL's programs and Python's GDAL
+(Debian: gdal-bin, python3-gdal, python3-numpy).
 """
 import json
 import re
@@ -20,6 +21,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+from osgeo import gdal
+
+gdal.UseExceptions()
 NUMBERS = ["LINE_OFF", "SAMP_OFF", "LAT_OFF", "LONG_OFF", "HEIGHT_OFF",
            "LINE_SCALE", "SAMP_SCALE", "LAT_SCALE", "LONG_SCALE", "HEIGHT_SCALE"]
 COEFFICIENTS = ["LINE_NUM_COEFF", "LINE_DEN_COEFF", "SAMP_NUM_COEFF", "SAMP_DEN_COEFF"]
@@ -169,6 +173,18 @@ def cases(images):
     yield "all heights of the cameras", changed(), ["--height-range", "WIDE"], *tif
 
 
+def where_both(of, other, path):
+    """The surface `of` in `path`, without the cells that the surface `other` has not found."""
+    kept, there = gdal.Open(str(of)), gdal.Open(str(other))
+    x, width, _, y, _, height = kept.GetGeoTransform()
+    grid = [x, y + height * kept.RasterYSize, x + width * kept.RasterXSize, y]
+    there = gdal.Warp("", there, format="MEM", outputBounds=grid, xRes=width, yRes=-height)
+    heights, nodata = kept.ReadAsArray(), kept.GetRasterBand(1).GetNoDataValue()
+    heights[there.ReadAsArray() == there.GetRasterBand(1).GetNoDataValue()] = nodata
+    copy = gdal.GetDriverByName("GTiff").CreateCopy(str(path), kept)
+    copy.GetRasterBand(1).WriteArray(heights)
+
+
 def main(program, folder, *wanted):
     folder, maker = Path(folder), program
     if wanted[:1] == ("--made-by",):
@@ -186,7 +202,11 @@ def main(program, folder, *wanted):
     lowest = max(float(i.rpc["HEIGHT_OFF"]) - float(i.rpc["HEIGHT_SCALE"]) for i in images)
     highest = min(float(i.rpc["HEIGHT_OFF"]) + float(i.rpc["HEIGHT_SCALE"]) for i in images)
     ranges = {"MISSES": f"{middle + 150:.0f} {middle + 250:.0f}", "WIDE": f"{lowest + 1:.0f} {highest - 1:.0f}"}
-    plain = None
+
+    def registered(surface, place):
+        run(program, "evaluate", "--dsm", surface, "--truth", truth, "--register", "xyz", "--seen-by", *files, "--json",
+            place / "scores.json", "--overwrite")
+        return json.loads((place / "scores.json").read_text())["results"]["registered"]
     print("| case | mean error | of the plain one | cells found | warnings |\n| --- | --- | --- | --- | --- |")
     for name, made, flags, options, ending in cases(images):
         if wanted and name not in wanted and name != "plain":
@@ -199,14 +219,15 @@ def main(program, folder, *wanted):
                 image.write(path, scratch, *options)
             flags = [part for flag in flags for part in ranges.get(flag, flag).split()]
             run(maker, "reconstruct", *delivered, "--out", place / "out", "--mesh", "none", "--overwrite", "--quiet", *flags)
-            run(program, "evaluate", "--dsm", place / "out/dsm.tif", "--truth", truth, "--register", "xyz", "--seen-by", *files,
-                "--json", place / "scores.json", "--overwrite")
-            scores = json.loads((place / "scores.json").read_text())["results"]
             record = json.loads((place / "out/run.json").read_text())
-            error, found = scores["registered"]["mae"], scores["registered"]["completeness"]
-            plain = plain or error
+            surface, plain = place / "out/dsm.tif", folder / "plain/out/dsm.tif"
+            where_both(plain, surface, scratch / "plain.tif")
+            where_both(surface, plain, scratch / "case.tif")
+            times = registered(scratch / "case.tif", scratch)["mae"] / registered(scratch / "plain.tif", scratch)["mae"]
+            scores = registered(surface, place)
+            error, found = scores["mae"], scores["completeness"]
             warnings = "; ".join(w if isinstance(w, str) else w.get("text", str(w)) for w in record.get("warnings", []))
-            print(f"| {name} | {error:.3f} m | {error / plain:.2f} | {100 * found:.1f} % | {warnings} |", flush=True)
+            print(f"| {name} | {error:.3f} m | {times:.2f} | {100 * found:.1f} % | {warnings} |", flush=True)
         except RuntimeError as e:
             print(f"| {name} | | | | {e} |", flush=True)
 

@@ -7,8 +7,8 @@
 #include "satsurf/ops/resize.h"
 #include "satsurf/reconstruct/cross_check.h"
 #include "satsurf/rpc/fit.h"
+#include "satsurf/scene/believable_span.h"
 #include "satsurf/scene/crop.h"
-#include "satsurf/scene/height_range.h"
 
 #include <algorithm>
 #include <cmath>

@@ -5,11 +5,14 @@
 #include "satsurf/core/whole.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/rpc/fit.h"
+#include "satsurf/scene/believable_span.h"
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <map>
+#include <functional>
+#include <numeric>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -110,11 +113,11 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
   return out;
 }
 
-/// Heights of the believed pixels that lie in patches of kPatch or more whose neighbours differ by
-/// at most `step`. A chance match spreads over no more than the window it was found in.
-std::vector<float> heights_of_patches(const Tensor& where, std::vector<char> believed, Index H,
-                                      Index W, float step) {
-  std::vector<float> heights;
+/// Heights of the believed pixels, in patches whose neighbours differ by at most `step`; those of
+/// kPatch or more. A chance match spreads over hardly more than the window it was found in.
+std::vector<Patch> patches_of(const Tensor& where, std::vector<char> believed, Index H, Index W,
+                              float step) {
+  std::vector<Patch> patches;
   std::vector<Index> patch;
   for (Index start = 0; start < H * W; ++start) {
     if (!believed[static_cast<std::size_t>(start)]) continue;
@@ -132,9 +135,59 @@ std::vector<float> heights_of_patches(const Tensor& where, std::vector<char> bel
         }
     }
     if (static_cast<Index>(patch.size()) < kPatch) continue;
+    Patch& heights = patches.emplace_back();
     for (const Index i : patch) heights.push_back(where[i]);
   }
-  return heights;
+  return patches;
+}
+
+/// The best height of every pixel among those tried so far, and what it has to beat.
+struct Sweep {
+  Tensor best, rival, where;  // [P]
+  float peak;                 // heights this close belong to one peak
+
+  Sweep(Index pixels, float peak_)
+      : best({pixels}, -1.f), rival({pixels}, -1.f), where({pixels}, 0.f), peak(peak_) {}
+
+  void add(const Tensor& score, float z) {
+    for (Index i = 0; i < score.count(); ++i) {
+      const float s = score[i];
+      const bool same_peak = std::abs(z - where[i]) <= peak;
+      if (s > best[i]) {
+        if (!same_peak) rival[i] = best[i];
+        best[i] = s;
+        where[i] = z;
+      } else if (!same_peak && s > rival[i]) {
+        rival[i] = s;
+      }
+    }
+  }
+};
+
+/// What the views say of one height together: the mean of their correlations, and that of the
+/// better half of them, as one image may show something else (snow, another season).
+struct Scores {
+  Tensor all, better_half;  // [P], -1 where none sees the pixel
+};
+
+Scores scores_of(const std::vector<Tensor>& correlations) {
+  const Index P = correlations[0].count();
+  Scores out{Tensor({P}, -1.f), Tensor({P}, -1.f)};
+  std::vector<float> seen;
+  for (Index i = 0; i < P; ++i) {
+    seen.clear();
+    for (const Tensor& c : correlations)
+      if (c[i] > -1.f) seen.push_back(c[i]);
+    if (seen.empty()) continue;
+    std::sort(seen.begin(), seen.end(), std::greater<>());
+    const auto mean = [&](std::size_t n) {
+      return std::accumulate(seen.begin(), seen.begin() + static_cast<std::ptrdiff_t>(n), 0.f) /
+             static_cast<float>(n);
+    };
+    out.all[i] = mean(seen.size());
+    out.better_half[i] = mean((seen.size() + 1) / 2);
+  }
+  return out;
 }
 
 std::string names_of(const Scene& scene) {
@@ -159,46 +212,6 @@ Index textured_windows(const Coarse& c) {
 }
 
 }  // namespace
-
-rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched) {
-  constexpr double kBin = 10;           // m
-  constexpr double kLargestStep = 100;  // m with nothing in between; beyond it is another pattern
-  std::sort(heights.begin(), heights.end());
-  const double n = static_cast<double>(heights.size());
-  const auto percentile = [&](double q) {
-    return static_cast<double>(heights[static_cast<std::size_t>(q * (n - 1))]);
-  };
-  const double core_low = percentile(0.05), core_high = percentile(0.95);
-  std::map<Index, Index> count;  // by bin, outside the core
-  const auto bin_of = [](float z) { return floored(static_cast<double>(z) / kBin); };
-  const auto outside = [&](float z) {
-    return static_cast<double>(z) < core_low || static_cast<double>(z) > core_high;
-  };
-  for (const float z : heights)
-    if (outside(z)) ++count[bin_of(z)];
-  // The median over all bins outside, most of which only chance fills.
-  std::vector<Index> sizes;
-  for (Index bin = bin_of(static_cast<float>(searched.low));
-       bin <= bin_of(static_cast<float>(searched.high)); ++bin)
-    if (const double middle = (static_cast<double>(bin) + 0.5) * kBin;
-        middle < core_low || middle > core_high)
-      sizes.push_back(count[bin]);
-  std::sort(sizes.begin(), sizes.end());
-  const double chance = sizes.empty() ? 0 : static_cast<double>(sizes[sizes.size() / 2]);
-  const auto believable = [&](float z) {
-    return static_cast<double>(count[bin_of(z)]) >= 0.0005 * n + 4 * chance;
-  };
-  double low = core_low, high = core_high;
-  for (auto z = heights.rbegin(); z != heights.rend(); ++z)  // downwards from the core
-    if (const double h = static_cast<double>(*z);
-        h < low && low - h <= kLargestStep && believable(*z))
-      low = h;
-  for (const float z : heights)
-    if (const double h = static_cast<double>(z);
-        h > high && h - high <= kLargestStep && believable(z))
-      high = h;
-  return {low, high};
-}
 
 rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& searched,
                                    const std::function<void()>& poll,
@@ -235,74 +248,68 @@ rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& s
   const double span = searched.span();
   const Index steps = std::clamp<Index>(floored(span * parallax / kStepPx) + 1, 8, 2000);
 
-  const Index P = coarse[0].grey.count();
-  Tensor best({P}, -1.f), rival({P}, -1.f), where({P}, 0.f);
-  // heights this close belong to one peak
-  const double peak = 3 * span / static_cast<double>(steps);
+  const Index H = coarse[0].grey.dim(0), W = coarse[0].grey.dim(1);
+  const auto peak = static_cast<float>(3 * span / static_cast<double>(steps));
+  Sweep all(H * W, peak), better_half(H * W, peak);
   // Pieces of rows would need the box sums' neighbours: parallel over heights instead, merged in
   // order.
   constexpr Index kBatch = 16;
   for (Index first = 0; first < steps; first += kBatch) {
     if (poll) poll();
     const Index batch = std::min(kBatch, steps - first);
-    std::vector<Tensor> score(static_cast<std::size_t>(batch));
+    std::vector<Scores> scores(static_cast<std::size_t>(batch));
     const auto height = [&](Index k) {
       return searched.low +
              span * (static_cast<double>(first + k) + 0.5) / static_cast<double>(steps);
     };
     for_each_index(batch, [&](Index k) {
-      Tensor sum({P}), count({P});
-      for (std::size_t j = 0; j < maps.size(); ++j) {
-        const Tensor c = correlation(coarse[0], coarse[j + 1], maps[j], height(k));
-        for (Index i = 0; i < P; ++i)
-          if (c[i] > -1.f) {
-            sum[i] += c[i];
-            count[i] += 1;
-          }
-      }
-      for (Index i = 0; i < P; ++i) sum[i] = count[i] > 0 ? sum[i] / count[i] : -1.f;
-      score[static_cast<std::size_t>(k)] = sum;
+      std::vector<Tensor> correlations;
+      for (std::size_t j = 0; j < maps.size(); ++j)
+        correlations.push_back(correlation(coarse[0], coarse[j + 1], maps[j], height(k)));
+      scores[static_cast<std::size_t>(k)] = scores_of(correlations);
     });
-    for (Index k = 0; k < batch; ++k)
-      for (Index i = 0; i < P; ++i) {
-        const float s = score[static_cast<std::size_t>(k)][i], z = static_cast<float>(height(k));
-        const bool same_peak = std::abs(z - where[i]) <= peak;
-        if (s > best[i]) {
-          if (!same_peak) rival[i] = best[i];
-          best[i] = s;
-          where[i] = z;
-        } else if (!same_peak && s > rival[i]) {
-          rival[i] = s;
-        }
-      }
+    for (Index k = 0; k < batch; ++k) {
+      all.add(scores[static_cast<std::size_t>(k)].all, static_cast<float>(height(k)));
+      better_half.add(scores[static_cast<std::size_t>(k)].better_half,
+                      static_cast<float>(height(k)));
+    }
   }
-  const Index H = coarse[0].grey.dim(0), W = coarse[0].grey.dim(1);
-  std::vector<char> believed(static_cast<std::size_t>(P));
-  for (Index i = 0; i < P; ++i)
-    believed[static_cast<std::size_t>(i)] = best[i] >= kAgreement && best[i] - rival[i] >= kUnique;
-  Index masked = 0;
-  for (Index i = 0; i < P && unwanted; ++i) {
-    if (!believed[static_cast<std::size_t>(i)]) continue;
-    const rpc::Pixel pixel{(static_cast<double>(i % W) + 0.5) * f - 0.5,
-                           (static_cast<double>(i / W) + 0.5) * f - 0.5};
-    const auto p = scene.frame.local_from_geodetic(
-        reference.rpc.localize(pixel, static_cast<double>(where[i]) + scene.frame.h0));
-    if (unwanted(p[0], p[1])) believed[static_cast<std::size_t>(i)] = 0, ++masked;
-  }
-  std::vector<float> heights = heights_of_patches(where, believed, H, W, static_cast<float>(peak));
-  if (static_cast<Index>(heights.size()) < kFewest) {
+
+  Index agreeing = 0, masked = 0;  // of the way that finds more
+  const auto span_of = [&](const Sweep& sweep) -> std::optional<rpc::HeightRange> {
+    std::vector<char> believed(static_cast<std::size_t>(H * W));
+    Index left_out = 0;
+    for (Index i = 0; i < H * W; ++i) {
+      if (sweep.best[i] < kAgreement || sweep.best[i] - sweep.rival[i] < kUnique) continue;
+      believed[static_cast<std::size_t>(i)] = 1;
+      if (!unwanted) continue;
+      const rpc::Pixel pixel{(static_cast<double>(i % W) + 0.5) * f - 0.5,
+                             (static_cast<double>(i / W) + 0.5) * f - 0.5};
+      const auto p = scene.frame.local_from_geodetic(
+          reference.rpc.localize(pixel, static_cast<double>(sweep.where[i]) + scene.frame.h0));
+      if (unwanted(p[0], p[1])) believed[static_cast<std::size_t>(i)] = 0, ++left_out;
+    }
+    const auto patches = patches_of(sweep.where, std::move(believed), H, W, peak);
+    Index count = 0;
+    for (const Patch& patch : patches) count += static_cast<Index>(patch.size());
+    agreeing = std::max(agreeing, count);
+    masked = std::max(masked, left_out);
+    if (count < kFewest) return {};
+    return span_of_patches(patches, searched, 2 * kPatch);
+  };
+  const auto found = confirmed_span(span_of(all), span_of(better_half));
+  if (!found) {
     char text[120];
     std::snprintf(text, sizeof text,
-                  "%zu windows agree at any height from %.0f to %.0f m, expected %td or more",
-                  heights.size(), scene.frame.heights_from_z(searched).low,
+                  "%td windows agree at any height from %.0f to %.0f m, expected %td or more",
+                  agreeing, scene.frame.heights_from_z(searched).low,
                   scene.frame.heights_from_z(searched).high, kFewest);
     const std::string why = masked >= kFewest ? ", " + std::to_string(masked) +
                                                     " more do under --mask; give a height range"
                                               : "; do the cameras belong to the images?";
     throw Error(names_of(scene) + ": " + text + why);
   }
-  const rpc::HeightRange found = believable_span(std::move(heights), searched);
-  return {found.low - kMargin, found.high + kMargin + kTower * found.span()};
+  return {found->low - kMargin, found->high + kMargin + kTower * found->span()};
 }
 
 }  // namespace satsurf::scene

@@ -4,11 +4,12 @@
 #include "satsurf/scene/scene.h"
 
 #include <functional>
-#include <vector>
 
 namespace satsurf::scene {
 
-/// Height range of a scene that names none: a coarse sweep by normalised correlation of the views.
+/// Height range of a scene that names none: a coarse sweep by normalised correlation of the first
+/// view with the others. It is made twice, with the mean of all correlations of a pixel and with that
+/// of the better half of them, and only what both say is believed far from the rest.
 /// searched  range to search, as a rule the cameras' own, local m
 /// poll      called often, may throw to stop
 /// unwanted  whether heights found over a point of the ground, local m, do not count; may be empty
@@ -17,12 +18,5 @@ namespace satsurf::scene {
 rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& searched,
                                    const std::function<void()>& poll = {},
                                    const std::function<bool(double, double)>& unwanted = {});
-
-/// Lowest and highest height that is found more often than chance finds it. Chance matches are
-/// few and anywhere in the searched range; what lies outside the middle nine tenths shows how
-/// few.
-/// heights   at least one, local m
-/// searched  range they were looked for in
-rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched);
 
 }  // namespace satsurf::scene

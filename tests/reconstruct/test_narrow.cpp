@@ -2,7 +2,6 @@
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/narrow.h"
 #include "satsurf/reconstruct/reconstruct.h"
-#include "satsurf/scene/height_range.h"
 
 #include <algorithm>
 #include <vector>
@@ -59,16 +58,6 @@ TEST_CASE("a range is left alone as far as the hypotheses span it") {
   scene.z_range.high = scene.z_range.low + 1.1 * spanned;
   narrowed_range(model, scene, [&] { ++asked; });
   CHECK(asked > 0);
-}
-
-TEST_CASE("the believable span leaves out what chance finds") {
-  std::vector<float> heights(2000, 10.f);
-  for (int k = 0; k < 500; ++k) heights.push_back(static_cast<float>(k) / 25);  // 0 to 20 m
-  for (int k = 0; k < 40; ++k) heights.push_back(static_cast<float>(37 * k % 900));
-  const rpc::HeightRange span = scene::believable_span(heights, {-100, 900});
-  CHECK(span.low == doctest::Approx(0).epsilon(0.05));
-  CHECK(span.high > 18);
-  CHECK(span.high < 30);
 }
 
 TEST_CASE("the plan of a run is what the run does, its heights narrowed alike") {

@@ -407,6 +407,14 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
   CHECK_THROWS_AS(find_height_range(scene, {high + 400, high + 700}), Error);
   struct Stop {};
   CHECK_THROWS_AS(find_height_range(scene, {low, high}, [] { throw Stop{}; }), Stop);
+  // an image of something else does not make it wider
+  Scene with_another = scene;
+  with_another.views.push_back(scene.views[1]);
+  Tensor& other = with_another.views.back().rgb = Tensor({3, 192, 192});
+  for (Index i = 0; i < other.count(); ++i) other[i] = static_cast<float>(i * 7919 % 1009) / 1009;
+  const rpc::HeightRange still = find_height_range(with_another, {low - 300, high + 300});
+  CHECK(still.low < low + 8);
+  CHECK(still.span() < high - low + 80);
   for (Index i = 0; i < scene.views[1].rgb.count(); ++i)  // smooth, but not of one grey
     scene.views[1].rgb[i] = 0.3f + 0.1f * static_cast<float>(i % 192) / 192;
   CHECK_THROWS_WITH_AS(find_height_range(scene, {low, high}),

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "satsurf/scene/believable_span.h"
+
+#include "satsurf/core/whole.h"
+
+#include <algorithm>
+#include <map>
+
+namespace satsurf::scene {
+namespace {
+
+constexpr double kNear = 50;         // m from all others at which a small patch still counts
+constexpr double kUnconfirmed = 25;  // m beyond the other way's span that one way may say alone
+
+rpc::HeightRange hull(const rpc::HeightRange& a, const rpc::HeightRange& b) {
+  return {std::min(a.low, b.low), std::max(a.high, b.high)};
+}
+
+}  // namespace
+
+rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched,
+                                 double largest_step) {
+  constexpr double kBin = 10;  // m
+  std::sort(heights.begin(), heights.end());
+  const double n = static_cast<double>(heights.size());
+  const auto percentile = [&](double q) {
+    return static_cast<double>(heights[static_cast<std::size_t>(q * (n - 1))]);
+  };
+  const double core_low = percentile(0.05), core_high = percentile(0.95);
+  std::map<Index, Index> count;  // by bin, outside the core
+  const auto bin_of = [](float z) { return floored(static_cast<double>(z) / kBin); };
+  const auto outside = [&](float z) {
+    return static_cast<double>(z) < core_low || static_cast<double>(z) > core_high;
+  };
+  for (const float z : heights)
+    if (outside(z)) ++count[bin_of(z)];
+  // The median over all bins outside, most of which only chance fills.
+  std::vector<Index> sizes;
+  for (Index bin = bin_of(static_cast<float>(searched.low));
+       bin <= bin_of(static_cast<float>(searched.high)); ++bin)
+    if (const double middle = (static_cast<double>(bin) + 0.5) * kBin;
+        middle < core_low || middle > core_high)
+      sizes.push_back(count[bin]);
+  std::sort(sizes.begin(), sizes.end());
+  const double chance = sizes.empty() ? 0 : static_cast<double>(sizes[sizes.size() / 2]);
+  const auto believable = [&](float z) {
+    return static_cast<double>(count[bin_of(z)]) >= 0.0005 * n + 4 * chance;
+  };
+  double low = core_low, high = core_high;
+  for (auto z = heights.rbegin(); z != heights.rend(); ++z)  // downwards from the core
+    if (const double h = static_cast<double>(*z);
+        h < low && low - h <= largest_step && believable(*z))
+      low = h;
+  for (const float z : heights)
+    if (const double h = static_cast<double>(z);
+        h > high && h - high <= largest_step && believable(z))
+      high = h;
+  return {low, high};
+}
+
+rpc::HeightRange span_of_patches(const std::vector<Patch>& patches,
+                                 const rpc::HeightRange& searched, Index large) {
+  std::vector<float> heights;
+  for (const Patch& patch : patches) heights.insert(heights.end(), patch.begin(), patch.end());
+  const rpc::HeightRange near = believable_span(std::move(heights), searched, kNear);
+  std::vector<float> sure;
+  for (const Patch& patch : patches) {
+    const auto [low, high] = std::ranges::minmax(patch);
+    const bool touches =
+        static_cast<double>(high) >= near.low && static_cast<double>(low) <= near.high;
+    if (touches || static_cast<Index>(patch.size()) >= large)
+      sure.insert(sure.end(), patch.begin(), patch.end());
+  }
+  return hull(near, believable_span(std::move(sure), searched));
+}
+
+std::optional<rpc::HeightRange> confirmed_span(const std::optional<rpc::HeightRange>& a,
+                                               const std::optional<rpc::HeightRange>& b) {
+  if (!a || !b) return a ? a : b;
+  const rpc::HeightRange both{std::max(a->low, b->low), std::min(a->high, b->high)},
+      either = hull(*a, *b);
+  if (both.low > both.high) return either;
+  return rpc::HeightRange{std::max(either.low, both.low - kUnconfirmed),
+                          std::min(either.high, both.high + kUnconfirmed)};
+}
+
+}  // namespace satsurf::scene
