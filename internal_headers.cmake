@@ -3,7 +3,7 @@
 # and for tests/layers.cmake.
 set(satsurf_internal_headers
   "_kernels\\.h$"
-  "/core/(simd|fields_json|files|hash|whole)\\.h$"
+  "/core/(simd|fields_json|files|hash|memory_limits|whole)\\.h$"
   "/ops/weighted_sum\\.h$"
   "/ops/conv/(axes|engine|kernels|slab|weights|winograd)\\.h$"
   "/splat/bin\\.h$"

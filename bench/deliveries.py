@@ -12,7 +12,7 @@ CASE     names of the cases to try; without one all of them
 Every case is the same scene, delivered another way: the images turned or cropped with their cameras exactly with them, in
 other formats and depths, with borders, clouds or cameras that are off, or reconstructed with other height ranges. A line
 for each: mean error of the cells found after a shift (what images tell of a place is relative), how many times that of the
-plain case on the cells that both have found, cells found, what was warned of. Needs GDAL's programs and Python's GDAL
+plain case in the cells that both have found and as many images see, cells found, what was warned of. Needs GDAL's programs and Python's GDAL
 (Debian: gdal-bin, python3-gdal, python3-numpy).
 """
 import json
@@ -173,16 +173,24 @@ def cases(images):
     yield "all heights of the cameras", changed(), ["--height-range", "WIDE"], *tif
 
 
-def where_both(of, other, path):
-    """The surface `of` in `path`, without the cells that the surface `other` has not found."""
-    kept, there = gdal.Open(str(of)), gdal.Open(str(other))
-    x, width, _, y, _, height = kept.GetGeoTransform()
-    grid = [x, y + height * kept.RasterYSize, x + width * kept.RasterXSize, y]
-    there = gdal.Warp("", there, format="MEM", outputBounds=grid, xRes=width, yRes=-height)
-    heights, nodata = kept.ReadAsArray(), kept.GetRasterBand(1).GetNoDataValue()
-    heights[there.ReadAsArray() == there.GetRasterBand(1).GetNoDataValue()] = nodata
-    copy = gdal.GetDriverByName("GTiff").CreateCopy(str(path), kept)
-    copy.GetRasterBand(1).WriteArray(heights)
+def compared(plain, case, folder):
+    """Both surfaces in the cells that both have found and that as many images see in the case, as `plain.tif` and `case.tif`."""
+    grid = gdal.Open(str(plain / "dsm.tif"))
+    x, width, _, y, _, height = grid.GetGeoTransform()
+    bounds = [x, y + height * grid.RasterYSize, x + width * grid.RasterXSize, y]
+
+    def values(made, name):
+        there = gdal.Warp("", str(made / name), format="MEM", outputBounds=bounds, xRes=width, yRes=-height)
+        return there.ReadAsArray(), there.GetRasterBand(1).GetNoDataValue()
+    heights = {"plain": values(plain, "dsm.tif"), "case": values(case, "dsm.tif")}
+    views = [values(made, "views.tif") for made in (plain, case)]
+    kept = (views[0][0] != views[0][1]) & (views[1][0] != views[1][1]) & (views[1][0] >= views[0][0])
+    for z, nodata in heights.values():
+        kept &= z != nodata
+    for name, (z, nodata) in heights.items():
+        z[~kept] = nodata
+        copy = gdal.GetDriverByName("GTiff").CreateCopy(str(folder / f"{name}.tif"), grid)
+        copy.GetRasterBand(1).WriteArray(z)
 
 
 def main(program, folder, *wanted):
@@ -220,11 +228,9 @@ def main(program, folder, *wanted):
             flags = [part for flag in flags for part in ranges.get(flag, flag).split()]
             run(maker, "reconstruct", *delivered, "--out", place / "out", "--mesh", "none", "--overwrite", "--quiet", *flags)
             record = json.loads((place / "out/run.json").read_text())
-            surface, plain = place / "out/dsm.tif", folder / "plain/out/dsm.tif"
-            where_both(plain, surface, scratch / "plain.tif")
-            where_both(surface, plain, scratch / "case.tif")
+            compared(folder / "plain/out", place / "out", scratch)
             times = registered(scratch / "case.tif", scratch)["mae"] / registered(scratch / "plain.tif", scratch)["mae"]
-            scores = registered(surface, place)
+            scores = registered(place / "out/dsm.tif", place)
             error, found = scores["mae"], scores["completeness"]
             warnings = "; ".join(w if isinstance(w, str) else w.get("text", str(w)) for w in record.get("warnings", []))
             print(f"| {name} | {error:.3f} m | {times:.2f} | {100 * found:.1f} % | {warnings} |", flush=True)

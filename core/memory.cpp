@@ -2,6 +2,7 @@
 #include "satsurf/core/memory.h"
 
 #include "satsurf/core/error.h"
+#include "satsurf/core/memory_limits.h"
 
 #include <algorithm>
 #include <array>
@@ -9,18 +10,26 @@
 #include <charconv>
 #include <cstdio>
 #include <fstream>
-#include <limits>
 #include <utility>
 
 namespace satsurf {
 
-std::uint64_t available_memory() {
+namespace {
+
+std::uint64_t system_memory_left() {
   std::ifstream in("/proc/meminfo");
   for (std::string line; std::getline(in, line);) {
     unsigned long long kib = 0;
     if (std::sscanf(line.c_str(), "MemAvailable: %llu kB", &kib) == 1) return kib * 1024;
   }
-  return std::numeric_limits<std::uint64_t>::max();
+  return kUnlimited;
+}
+
+}  // namespace
+
+std::uint64_t available_memory() {
+  return std::min({system_memory_left(), addresses_left(),
+                   group_memory_left("/proc/self/cgroup", "/sys/fs/cgroup")});
 }
 
 std::string memory_text(double bytes) {

@@ -6,8 +6,9 @@
 
 namespace satsurf {
 
-/// Bytes the system says it can still give without swapping (`MemAvailable` of /proc/meminfo); the
-/// largest number where it does not say.
+/// Bytes that the process can still take: what the system gives without swapping (`MemAvailable` of
+/// /proc/meminfo), what the limit of a container or other control group leaves, and what `ulimit -v`
+/// does, whichever is least; the largest number where none is known.
 std::uint64_t available_memory();
 
 /// `1.5 GB`, with GB = 1e9 bytes; below 0.1 GB in MB.

@@ -355,6 +355,17 @@ cp stderr failed.txt
 holds "its failure is told" grep -q "^warning: no mesh: " failed.txt
 holds "and recorded" grep -q '"code": "mesh_failed"' failing/run.json
 holds "and the surface is the same" cmp out/dsm.tif failing/dsm.tif
+bounded() { (ulimit -v 6000000 && exec "$@"); } # KiB
+if bounded "$satsurf" --version >/dev/null 2>&1; then # a sanitizer takes more
+  finest=(bounded "$satsurf" reconstruct "${images[@]}" --out failing --overwrite --weights $weights --voxel 0.01)
+  succeeds "a plan with a mesh that memory does not hold" "${finest[@]}" --dry-run
+  holds "it says so" grep -q "mesh .* GB, which it would not get: give a larger --voxel or --mesh none" stdout
+  succeeds "a mesh that memory does not hold" "${finest[@]}" --quiet
+  cp stderr failed.txt
+  holds "its size is told" grep -qE "^warning: no mesh: voxels of 0.01 m need about .* GB of memory, expected .* at most; give a larger --voxel; --mesh none" failed.txt
+  holds "and it takes nothing with it" test -s failing/report.html -a -s failing/surfels.ply -a ! -e failing/mesh.ply
+  holds "the surface least of all" cmp out/dsm.tif failing/dsm.tif
+fi
 "$satsurf" reconstruct "${images[@]}" --out failing --overwrite --weights $weights --mesh none --min-coverage 1 --quiet >stdout 2>failed.txt
 holds "too few cells are a failure" test $? -eq 1
 holds "which says how many there are" grep -q "common ground has a height, expected 100.0 % by --min-coverage" failed.txt

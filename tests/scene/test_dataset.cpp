@@ -407,6 +407,13 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
   CHECK_THROWS_AS(find_height_range(scene, {high + 400, high + 700}), Error);
   struct Stop {};
   CHECK_THROWS_AS(find_height_range(scene, {low, high}, [] { throw Stop{}; }), Stop);
+  try {
+    find_height_range(scene, {low - 300, high + 300}, {}, [](double, double) { return true; });
+    FAIL("expected an Error");
+  } catch (const Error& e) {
+    CHECK(std::string(e.what()).find(": 0 windows agree at any height from ") != std::string::npos);
+    CHECK(std::string(e.what()).ends_with(" more do under --mask; give a height range"));
+  }
   // an image of something else does not make it wider
   Scene with_another = scene;
   with_another.views.push_back(scene.views[1]);
