@@ -33,6 +33,7 @@ constexpr double kTower = 0.25;
 /// Valid pixels of a window that can be compared.
 constexpr float kWhole = 0.9f * static_cast<float>(kPatch);
 constexpr float kTexture = 1e-5f;  // variance of a window that is not flat
+constexpr Index kGrain = 1 << 12;  // pixels of one piece of work
 constexpr Index kFewest = 100;     // matches that make a range believable
 
 /// Luminance at coarse resolution.
@@ -149,8 +150,9 @@ struct Sweep {
   Sweep(Index pixels, float peak_)
       : best({pixels}, -1.f), rival({pixels}, -1.f), where({pixels}, 0.f), peak(peak_) {}
 
-  void add(const Tensor& score, float z) {
-    for (Index i = 0; i < score.count(); ++i) {
+  /// Of some pixels.
+  void add(const Tensor& score, float z, Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) {
       const float s = score[i];
       const bool same_peak = std::abs(z - where[i]) <= peak;
       if (s > best[i]) {
@@ -173,6 +175,14 @@ struct Scores {
 Scores scores_of(const std::vector<Tensor>& correlations) {
   const Index P = correlations[0].count();
   Scores out{Tensor({P}, -1.f), Tensor({P}, -1.f)};
+  if (correlations.size() <= 2) {  // as most scenes have, and fast
+    const Tensor &a = correlations.front(), &b = correlations.back();
+    for (Index i = 0; i < P; ++i) {
+      out.better_half[i] = std::max(a[i], b[i]);
+      out.all[i] = std::min(a[i], b[i]) > -1.f ? (a[i] + b[i]) / 2 : out.better_half[i];
+    }
+    return out;
+  }
   std::vector<float> seen;
   for (Index i = 0; i < P; ++i) {
     seen.clear();
@@ -251,8 +261,8 @@ rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& s
   const Index H = coarse[0].grey.dim(0), W = coarse[0].grey.dim(1);
   const auto peak = static_cast<float>(3 * span / static_cast<double>(steps));
   Sweep all(H * W, peak), better_half(H * W, peak);
-  // Pieces of rows would need the box sums' neighbours: parallel over heights instead, merged in
-  // order.
+  // Pieces of rows would need the box sums' neighbours: correlations are parallel over heights,
+  // which each pixel then sees in their order.
   constexpr Index kBatch = 16;
   for (Index first = 0; first < steps; first += kBatch) {
     if (poll) poll();
@@ -268,11 +278,13 @@ rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& s
         correlations.push_back(correlation(coarse[0], coarse[j + 1], maps[j], height(k)));
       scores[static_cast<std::size_t>(k)] = scores_of(correlations);
     });
-    for (Index k = 0; k < batch; ++k) {
-      all.add(scores[static_cast<std::size_t>(k)].all, static_cast<float>(height(k)));
-      better_half.add(scores[static_cast<std::size_t>(k)].better_half,
-                      static_cast<float>(height(k)));
-    }
+    for_range(H * W, kGrain, [&](Index begin, Index end) {
+      for (Index k = 0; k < batch; ++k) {
+        const Scores& here = scores[static_cast<std::size_t>(k)];
+        all.add(here.all, static_cast<float>(height(k)), begin, end);
+        better_half.add(here.better_half, static_cast<float>(height(k)), begin, end);
+      }
+    });
   }
 
   Index agreeing = 0, masked = 0;  // of the way that finds more
