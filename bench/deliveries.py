@@ -12,8 +12,8 @@ CASE     names of the cases to try; without one all of them
 Every case is the same scene, delivered another way: the images turned or cropped with their cameras exactly with them, in
 other formats and depths, with borders, clouds or cameras that are off, or reconstructed with other height ranges. A line
 for each: mean error of the cells found after a shift (what images tell of a place is relative), how many times that of the
-plain case in the cells that both have found and as many images see, cells found, what was warned of. Needs GDAL's programs and Python's GDAL
-(Debian: gdal-bin, python3-gdal, python3-numpy).
+plain case, the same in the cells that both have found and that as many images see, cells found, what was warned of. Needs
+GDAL's programs and Python's GDAL (Debian: gdal-bin, python3-gdal, python3-numpy).
 """
 import json
 import re
@@ -215,7 +215,9 @@ def main(program, folder, *wanted):
         run(program, "evaluate", "--dsm", surface, "--truth", truth, "--register", "xyz", "--seen-by", *files, "--json",
             place / "scores.json", "--overwrite")
         return json.loads((place / "scores.json").read_text())["results"]["registered"]
-    print("| case | mean error | of the plain one | cells found | warnings |\n| --- | --- | --- | --- | --- |")
+    first = None  # error of the plain case
+    print("| case | mean error | of the plain one | where as many see | cells found | warnings |\n"
+          "| --- | --- | --- | --- | --- | --- |")
     for name, made, flags, options, ending in cases(images):
         if wanted and name not in wanted and name != "plain":
             continue
@@ -232,10 +234,11 @@ def main(program, folder, *wanted):
             times = registered(scratch / "case.tif", scratch)["mae"] / registered(scratch / "plain.tif", scratch)["mae"]
             scores = registered(place / "out/dsm.tif", place)
             error, found = scores["mae"], scores["completeness"]
+            first = first or error
             warnings = "; ".join(w if isinstance(w, str) else w.get("text", str(w)) for w in record.get("warnings", []))
-            print(f"| {name} | {error:.3f} m | {times:.2f} | {100 * found:.1f} % | {warnings} |", flush=True)
+            print(f"| {name} | {error:.3f} m | {error / first:.2f} | {times:.2f} | {100 * found:.1f} % | {warnings} |", flush=True)
         except RuntimeError as e:
-            print(f"| {name} | | | | {e} |", flush=True)
+            print(f"| {name} | | | | | {e} |", flush=True)
 
 
 if __name__ == "__main__":
