@@ -162,6 +162,7 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
     // What the hypotheses span anyway costs nothing, and towers, few pixels and tall, may be there.
     next.high = std::min(range.high, std::max(next.high, next.low + most));
     next.low = std::max(range.low, std::min(next.low, next.high - most));
+    if (scene.z_agreed) next = hull(next, *scene.z_agreed);
     const bool done = next.span() > 0.9 * range.span();
     small.z_range = next;
     if (done) break;

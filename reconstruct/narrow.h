@@ -18,7 +18,8 @@ double span_of_hypotheses(const nn::ModelConfig& config, const scene::Scene& sce
 /// of their resolution or less first, up to three times, and the range that remains is the
 /// believable span (`scene::believable_span`) of the heights on which two views agree there, with a
 /// margin of 20 m above and 10 m below, and with what the hypotheses can span besides, upwards
-/// first: towers are too few pixels to be sure to show. Else, or where hardly anything agrees, it is
+/// first: towers are too few pixels to be sure to show. It holds what the images agreed on when the
+/// range was found (`Scene::z_agreed`). Else, or where hardly anything agrees, it is
 /// the scene's own range.
 /// poll      called between layers, may throw to stop
 /// unwanted  ground on which heights do not count, see ReconstructOptions; may be empty

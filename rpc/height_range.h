@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
+
 namespace satsurf::rpc {
 
 /// Lowest and highest height, m. Named `height_range` it counts from the ellipsoid; named `z_range`
@@ -15,5 +17,10 @@ struct HeightRange {
   HeightRange widened(double by) const { return {low - by, high + by}; }
   friend bool operator==(const HeightRange&, const HeightRange&) = default;
 };
+
+/// The least range that holds both.
+inline HeightRange hull(const HeightRange& a, const HeightRange& b) {
+  return {std::min(a.low, b.low), std::max(a.high, b.high)};
+}
 
 }  // namespace satsurf::rpc

@@ -12,10 +12,6 @@ namespace {
 constexpr double kNear = 50;         // m from all others at which a small patch still counts
 constexpr double kUnconfirmed = 25;  // m beyond the other way's span that one way may say alone
 
-rpc::HeightRange hull(const rpc::HeightRange& a, const rpc::HeightRange& b) {
-  return {std::min(a.low, b.low), std::max(a.high, b.high)};
-}
-
 }  // namespace
 
 rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched,

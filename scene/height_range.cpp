@@ -223,9 +223,9 @@ Index textured_windows(const Coarse& c) {
 
 }  // namespace
 
-rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& searched,
-                                   const std::function<void()>& poll,
-                                   const std::function<bool(double, double)>& unwanted) {
+FoundHeights find_height_range(const Scene& scene, const rpc::HeightRange& searched,
+                               const std::function<void()>& poll,
+                               const std::function<bool(double, double)>& unwanted) {
   if (!searched.has_span())
     throw ConfigError("height range: " + std::to_string(searched.low) + " to " +
                       std::to_string(searched.high) + " m, expected a positive span to search");
@@ -321,7 +321,7 @@ rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& s
                                               : "; do the cameras belong to the images?";
     throw Error(names_of(scene) + ": " + text + why);
   }
-  return {found->low - kMargin, found->high + kMargin + kTower * found->span()};
+  return {*found, {found->low - kMargin, found->high + kMargin + kTower * found->span()}};
 }
 
 }  // namespace satsurf::scene

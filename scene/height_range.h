@@ -7,16 +7,23 @@
 
 namespace satsurf::scene {
 
+/// Heights between which a surface lies, m.
+struct FoundHeights {
+  rpc::HeightRange agreed;  ///< at which the images agree
+  rpc::HeightRange range;   ///< with what may stand out of that
+
+  friend bool operator==(const FoundHeights&, const FoundHeights&) = default;
+};
+
 /// Height range of a scene that names none: a coarse sweep by normalised correlation of the first
 /// view with the others. It is made twice, with the mean of all correlations of a pixel and with that
 /// of the better half of them, and only what both say is believed far from the rest.
 /// searched  range to search, as a rule the cameras' own, local m
 /// poll      called often, may throw to stop
 /// unwanted  whether heights found over a point of the ground, local m, do not count; may be empty
-/// returns   lowest and highest height, local m
 /// throws    Error naming the images that have no texture or do not agree anywhere
-rpc::HeightRange find_height_range(const Scene& scene, const rpc::HeightRange& searched,
-                                   const std::function<void()>& poll = {},
-                                   const std::function<bool(double, double)>& unwanted = {});
+FoundHeights find_height_range(const Scene& scene, const rpc::HeightRange& searched,
+                               const std::function<void()>& poll = {},
+                               const std::function<bool(double, double)>& unwanted = {});
 
 }  // namespace satsurf::scene

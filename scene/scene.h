@@ -48,9 +48,11 @@ struct Scene {
   std::string name;
   rpc::LocalFrame frame;
   std::vector<View> views;
-  std::optional<HeightField> truth;          ///< in the local frame
-  Tensor classes;                            ///< [H W] on the truth's grid, or empty; 9 = water
-  rpc::HeightRange z_range;                  ///< of the surface, local m
+  std::optional<HeightField> truth;  ///< in the local frame
+  Tensor classes;                    ///< [H W] on the truth's grid, or empty; 9 = water
+  rpc::HeightRange z_range;          ///< of the surface, local m
+  /// Part of it at which the images were seen to agree; known only where the range was searched for.
+  std::optional<rpc::HeightRange> z_agreed{};
   std::filesystem::path images, truth_file;  ///< the data set, and where its truth is or should be
 };
 

@@ -247,11 +247,11 @@ void check_mask(const rpc::GroundMask& mask, const std::vector<Polygon>& ground,
 /// The heights that comparing the images finds. The first view is compared with the others that see
 /// its ground, and so is every further one that sees hardly any ground of those before it.
 /// ground  of each view
-rpc::HeightRange range_of_all(const Scene& scene, const std::vector<Polygon>& ground,
-                              const rpc::HeightRange& searched, const std::function<void()>& poll,
-                              const std::function<bool(double, double)>& unwanted) {
+FoundHeights range_of_all(const Scene& scene, const std::vector<Polygon>& ground,
+                          const rpc::HeightRange& searched, const std::function<void()>& poll,
+                          const std::function<bool(double, double)>& unwanted) {
   constexpr double kSeen = 0.5;  // of a view's ground that another one speaks for
-  std::optional<rpc::HeightRange> all;
+  std::optional<FoundHeights> all;
   std::exception_ptr trouble;
   std::vector<std::size_t> compared;
   for (std::size_t i = 0; i < ground.size(); ++i) {
@@ -267,8 +267,8 @@ rpc::HeightRange range_of_all(const Scene& scene, const std::vector<Polygon>& gr
     for (std::size_t j = 0; j < ground.size(); ++j)
       if (j != i && shared(j) > 0) part.views.push_back(scene.views[j]);
     try {
-      const rpc::HeightRange found = find_height_range(part, searched, poll, unwanted);
-      all = all ? rpc::HeightRange{std::min(all->low, found.low), std::max(all->high, found.high)}
+      const FoundHeights found = find_height_range(part, searched, poll, unwanted);
+      all = all ? FoundHeights{hull(all->agreed, found.agreed), hull(all->range, found.range)}
                 : found;
     } catch (const Error&) {  // water, say; the others may see more
       if (!trouble) trouble = std::current_exception();
@@ -448,13 +448,15 @@ UserScene ViewList::scene(const std::optional<rpc::HeightRange>& wanted,
 
   if (out.range.source == kCameraRange) {
     const rpc::HeightRange searched = out.range.height_range;
-    const rpc::HeightRange found =
+    const FoundHeights found =
         range_of_all(scene, ground, scene.frame.z_from_heights(searched), poll,
                      rules_.mask ? under_mask(*rules_.mask, scene, searched)
                                  : std::function<bool(double, double)>{});
-    out.range = {scene.frame.heights_from_z(found), "found by comparing the images",
+    const rpc::HeightRange agreed = scene.frame.heights_from_z(found.agreed);
+    out.range = {scene.frame.heights_from_z(found.range), "found by comparing the images",
                  out.range.trouble, true};
     scene.frame.h0 = std::round(out.range.height_range.middle());
+    scene.z_agreed = scene.frame.z_from_heights(agreed);
   }
   scene.z_range = scene.frame.z_from_heights(out.range.height_range);
   return out;

@@ -34,7 +34,7 @@ TEST_CASE("a height range that is far too generous is narrowed to what holds the
   for (const auto& [below, above] : {std::pair(0.0, 425.0), {150.0, 420.0}}) {
     CAPTURE(below);
     CAPTURE(above);
-    const scene::Scene scene = village_scene(320, {truth.low - 2 - below, truth.high + 2 + above});
+    scene::Scene scene = village_scene(320, {truth.low - 2 - below, truth.high + 2 + above});
     const rpc::HeightRange found = scene.frame.heights_from_z(narrowed_range(model, scene)),
                            whole = scene.frame.heights_from_z(scene.z_range);
     CHECK(found.low >= whole.low);
@@ -44,6 +44,12 @@ TEST_CASE("a height range that is far too generous is narrowed to what holds the
     const double spanned = span_of_hypotheses(model.config(), scene);
     CHECK(found.span() > 0.999 * spanned);  // nothing is given away that costs nothing
     CHECK(found.span() < std::max(spanned, truth.span() + 30) + 1);
+    // what was seen to agree before is not taken away
+    scene.z_agreed = rpc::HeightRange{scene.z_range.low + 1, scene.z_range.high - 100};
+    const rpc::HeightRange kept = narrowed_range(model, scene);
+    CHECK(kept.low <= scene.z_agreed->low);
+    CHECK(kept.high >= scene.z_agreed->high);
+    CHECK(kept.high < scene.z_range.high - 50);
   }
 }
 

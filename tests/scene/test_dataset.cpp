@@ -399,7 +399,10 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
   for (const SimulatedView& v : made.views)
     scene.views.push_back({"v", v.rgb, Tensor({192, 192}, 1.f), v.rpc, 0, 0, "", "v.tif"});
   const double low = made.h_min - made.frame.h0, high = made.h_max - made.frame.h0;
-  const rpc::HeightRange found = find_height_range(scene, {low - 300, high + 300});
+  const auto [agreed, found] = find_height_range(scene, {low - 300, high + 300});
+  CHECK(agreed.low > low - 5);
+  CHECK(agreed.high < high + 5);
+  CHECK(agreed.span() > 0.3 * (high - low));
   // percentiles may miss the deepest corner, the margin covers most of it
   CHECK(found.low < low + 8);
   CHECK(found.high > low);
@@ -419,7 +422,7 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
   with_another.views.push_back(scene.views[1]);
   Tensor& other = with_another.views.back().rgb = Tensor({3, 192, 192});
   for (Index i = 0; i < other.count(); ++i) other[i] = static_cast<float>(i * 7919 % 1009) / 1009;
-  const rpc::HeightRange still = find_height_range(with_another, {low - 300, high + 300});
+  const rpc::HeightRange still = find_height_range(with_another, {low - 300, high + 300}).range;
   CHECK(still.low < low + 8);
   CHECK(still.span() < high - low + 80);
   for (Index i = 0; i < scene.views[1].rgb.count(); ++i)  // smooth, but not of one grey
