@@ -154,6 +154,10 @@ void remove_store(const fs::path& folder) {
   fs::remove_all(folder, error);
 }
 
+void tell_removed(const fs::path& left) {
+  log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
+}
+
 }  // namespace
 
 TileStore::TileStore(const fs::path& out, bool resume, bool overwrite)
@@ -176,14 +180,7 @@ TileStore::TileStore(const fs::path& out, bool resume, bool overwrite)
     throw IoError("out: " + folder_.string() +
                   " is being worked on by another process, expected to have it alone");
   }
-  const auto tell = [](const fs::path& left) {
-    log_line(LogLevel::info, left.string() + " removed, left by a stopped run");
-  };
-  if (!there || !resume) {
-    if (empty_store(folder_)) tell(folder_);
-  } else {
-    for (const fs::path& left : remove_partial_files(folder_)) tell(left);
-  }
+  if ((!there || !resume) && empty_store(folder_)) tell_removed(folder_);
 }
 
 TileStore::~TileStore() {
@@ -201,6 +198,7 @@ void TileStore::begin(const nlohmann::json& plan) {
   if (!text.empty())
     throw ConfigError("resume: " + folder_.string() + " holds the tiles of another run: " + text +
                       ", expected the same; --overwrite without --resume begins anew");
+  for (const fs::path& left : remove_partial_files(folder_)) tell_removed(left);
 }
 
 bool TileStore::any() const {

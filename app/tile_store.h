@@ -37,7 +37,8 @@ class TileStore {
   TileStore(const TileStore&) = delete;
   TileStore& operator=(const TileStore&) = delete;
 
-  /// Notes what the tiles depend on, or checks that those that are there depend on the same.
+  /// Notes what the tiles depend on, or checks that those that are there depend on the same and then
+  /// removes what else a killed run left with them.
   /// throws  ConfigError naming the first thing that differs
   void begin(const nlohmann::json& plan);
   /// Whether any tile is finished.

@@ -99,10 +99,14 @@ TEST_CASE("what a killed writer has left among the tiles goes with the next run"
     store.begin({{"a", 1}});
     store.save(kTile, record(), surface());
   }
-  test::write_bytes(folder / "out.tiles/.tile_0001_0002.json.partial-7-3", "{");
-  const TileStore store(folder / "out", true, false);
+  const auto left = folder / "out.tiles/.tile_0001_0002.json.partial-7-3";
+  test::write_bytes(left, "{");
+  TileStore store(folder / "out", true, false);
   CHECK(store.any());
-  CHECK_FALSE(std::filesystem::exists(folder / "out.tiles/.tile_0001_0002.json.partial-7-3"));
+  CHECK_THROWS_AS(store.begin({{"a", 2}}), ConfigError);  // another run touches nothing
+  CHECK(std::filesystem::exists(left));
+  store.begin({{"a", 1}});
+  CHECK_FALSE(std::filesystem::exists(left));
 }
 
 TEST_CASE("tiles that a killed run had begun to remove are nobody's") {
