@@ -86,9 +86,7 @@ PointingFacts pointing_of(const Info& info, const std::vector<fs::path>& image_d
     const double off = image.rpc->height_off, scale = std::abs(image.rpc->height_scale);
     const rpc::HeightRange range =
         image.height_range.value_or(rpc::HeightRange{off - scale, off + scale});
-    heights = heights ? rpc::HeightRange{std::min(heights->low, range.low),
-                                         std::max(heights->high, range.high)}
-                      : range;
+    heights = heights ? hull(*heights, range) : range;
   }
   if (pixels > kMostPixels)
     return {{},

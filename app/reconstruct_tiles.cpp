@@ -348,7 +348,7 @@ SurfaceFacts facts_of(const Tiling& tiling, const std::vector<TileRecord>& recor
     found += r.found, expected += r.expected, facts.surfels += r.surfels;
     facts.camera_fit_max_px = std::max(facts.camera_fit_max_px, r.camera_fit_max_px);
     if (r.status != "done") continue;
-    searched = {std::min(searched.low, r.z_range.low), std::max(searched.high, r.z_range.high)};
+    searched = hull(searched, r.z_range);
     ++facts.tiles;
   }
   facts.completeness =

@@ -13,7 +13,6 @@
 #include <utility>
 
 namespace satsurf {
-
 namespace {
 
 std::uint64_t system_memory_left() {

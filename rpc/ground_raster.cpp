@@ -127,11 +127,6 @@ std::vector<std::array<double, 2>> spread(const UtmZone& zone, const std::array<
   return out;
 }
 
-/// Lowest and highest of both.
-HeightRange joined(const HeightRange& a, const HeightRange& b) {
-  return {std::min(a.low, b.low), std::max(a.high, b.high)};
-}
-
 /// Heights above the ellipsoid, by the lowest and the highest place of what they are above.
 HeightRange lifted(const HeightRange& heights, const std::vector<Lifted>& by) {
   HeightRange out{INFINITY, -INFINITY};
@@ -237,7 +232,7 @@ TerrainHeights Terrain::over(const UtmZone& zone, const std::array<double, 4>& g
     inside += counts ? 1 : 0;
     if (!std::isfinite(low[i]) || !std::isfinite(high[i])) continue;
     known += counts ? 1 : 0;
-    found = joined(found, {static_cast<double>(low[i]), static_cast<double>(high[i])});
+    found = hull(found, {static_cast<double>(low[i]), static_cast<double>(high[i])});
   }
   if (!(known > 0)) return out;
   if (!on_earth(found)) {
@@ -265,7 +260,7 @@ TerrainHeights Terrain::over(const UtmZone& zone, const std::array<double, 4>& g
   if (ellipsoid) return out;
   out.either = true;
   try {
-    out.heights = joined(found, lifted(found, lifted(height_epsg(HeightDatum::egm96), points)));
+    out.heights = hull(found, lifted(found, lifted(height_epsg(HeightDatum::egm96), points)));
   } catch (const Error&) {  // without the grid the ellipsoid is all there is to go by
   }
   return out;

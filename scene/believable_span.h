@@ -21,8 +21,8 @@ using Patch = std::vector<float>;
 rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched,
                                  double largest_step = 100);
 
-/// `believable_span` of heights in patches: one that lies more than 50 m above or below all others counts if
-/// it is large. Towers and the ground below cliffs are, chance is not.
+/// `believable_span` of heights in patches. One that lies more than 50 m above or below all others
+/// counts only if it is large, as towers and the ground below cliffs are and chance is not.
 /// patches  with at least one height
 /// large    pixels
 rpc::HeightRange span_of_patches(const std::vector<Patch>& patches,

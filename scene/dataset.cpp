@@ -136,10 +136,7 @@ Found find_files(const fs::path& folder, const std::string& name) {
   Found found;
   for (const rpc::ViewSource& source : files.views) {
     const rpc::Image image = rpc::open_view(source);
-    if (image.info.height_range) {
-      found.known.low = std::min(found.known.low, image.info.height_range->low);
-      found.known.high = std::max(found.known.high, image.info.height_range->high);
-    }
+    if (image.info.height_range) found.known = hull(found.known, *image.info.height_range);
     found.views.push_back(view_of(image, source.file));
   }
   found.zone = zone_of(found.views[0]);

@@ -166,25 +166,21 @@ struct Sweep {
   }
 };
 
-/// What the views say of one height together: the mean of their correlations, and that of the
-/// better half of them, as one image may show something else (snow, another season).
-struct Scores {
-  Tensor all, better_half;  // [P], -1 where none sees the pixel
-};
-
-Scores scores_of(const std::vector<Tensor>& correlations) {
+/// What the views say of one height together: the mean of their correlations, and that of the better
+/// half of them, as one image may show something else (snow, another season). One alone says it once.
+/// returns  one or two [P], -1 where none sees the pixel
+std::vector<Tensor> scores_of(std::vector<Tensor> correlations) {
+  if (correlations.size() == 1) return correlations;
   const Index P = correlations[0].count();
-  Scores out{Tensor({P}, -1.f), Tensor({P}, -1.f)};
-  if (correlations.size() <= 2) {  // as most scenes have, and fast
-    const Tensor &a = correlations.front(), &b = correlations.back();
-    for (Index i = 0; i < P; ++i) {
-      out.better_half[i] = std::max(a[i], b[i]);
-      out.all[i] = std::min(a[i], b[i]) > -1.f ? (a[i] + b[i]) / 2 : out.better_half[i];
-    }
-    return out;
-  }
+  Tensor all({P}, -1.f), better_half({P}, -1.f);
   std::vector<float> seen;
   for (Index i = 0; i < P; ++i) {
+    if (correlations.size() == 2) {  // as most scenes have: sorting them takes longer
+      const float a = correlations[0][i], b = correlations[1][i];
+      better_half[i] = std::max(a, b);
+      all[i] = std::min(a, b) > -1.f ? (a + b) / 2 : better_half[i];
+      continue;
+    }
     seen.clear();
     for (const Tensor& c : correlations)
       if (c[i] > -1.f) seen.push_back(c[i]);
@@ -194,10 +190,10 @@ Scores scores_of(const std::vector<Tensor>& correlations) {
       return std::accumulate(seen.begin(), seen.begin() + static_cast<std::ptrdiff_t>(n), 0.f) /
              static_cast<float>(n);
     };
-    out.all[i] = mean(seen.size());
-    out.better_half[i] = mean((seen.size() + 1) / 2);
+    all[i] = mean(seen.size());
+    better_half[i] = mean((seen.size() + 1) / 2);
   }
-  return out;
+  return {all, better_half};
 }
 
 std::string names_of(const Scene& scene) {
@@ -260,14 +256,16 @@ FoundHeights find_height_range(const Scene& scene, const rpc::HeightRange& searc
 
   const Index H = coarse[0].grey.dim(0), W = coarse[0].grey.dim(1);
   const auto peak = static_cast<float>(3 * span / static_cast<double>(steps));
-  Sweep all(H * W, peak), better_half(H * W, peak);
+  std::vector<Sweep> sweeps;  // one for each of `scores_of`
+  for (std::size_t s = 0; s < std::min<std::size_t>(maps.size(), 2); ++s)
+    sweeps.emplace_back(H * W, peak);
   // Pieces of rows would need the box sums' neighbours: correlations are parallel over heights,
   // which each pixel then sees in their order.
   constexpr Index kBatch = 16;
   for (Index first = 0; first < steps; first += kBatch) {
     if (poll) poll();
     const Index batch = std::min(kBatch, steps - first);
-    std::vector<Scores> scores(static_cast<std::size_t>(batch));
+    std::vector<std::vector<Tensor>> scores(static_cast<std::size_t>(batch));
     const auto height = [&](Index k) {
       return searched.low +
              span * (static_cast<double>(first + k) + 0.5) / static_cast<double>(steps);
@@ -276,18 +274,18 @@ FoundHeights find_height_range(const Scene& scene, const rpc::HeightRange& searc
       std::vector<Tensor> correlations;
       for (std::size_t j = 0; j < maps.size(); ++j)
         correlations.push_back(correlation(coarse[0], coarse[j + 1], maps[j], height(k)));
-      scores[static_cast<std::size_t>(k)] = scores_of(correlations);
+      scores[static_cast<std::size_t>(k)] = scores_of(std::move(correlations));
     });
     for_range(H * W, kGrain, [&](Index begin, Index end) {
       for (Index k = 0; k < batch; ++k) {
-        const Scores& here = scores[static_cast<std::size_t>(k)];
-        all.add(here.all, static_cast<float>(height(k)), begin, end);
-        better_half.add(here.better_half, static_cast<float>(height(k)), begin, end);
+        for (std::size_t s = 0; s < sweeps.size(); ++s)
+          sweeps[s].add(scores[static_cast<std::size_t>(k)][s], static_cast<float>(height(k)),
+                        begin, end);
       }
     });
   }
 
-  Index agreeing = 0, masked = 0;  // of the way that finds more
+  Index agreeing = 0, masked = 0;  // of the sweep that finds more
   const auto span_of = [&](const Sweep& sweep) -> std::optional<rpc::HeightRange> {
     std::vector<char> believed(static_cast<std::size_t>(H * W));
     Index left_out = 0;
@@ -309,7 +307,8 @@ FoundHeights find_height_range(const Scene& scene, const rpc::HeightRange& searc
     if (count < kFewest) return {};
     return span_of_patches(patches, searched, 2 * kPatch);
   };
-  const auto found = confirmed_span(span_of(all), span_of(better_half));
+  std::optional<rpc::HeightRange> found = span_of(sweeps.front());
+  if (sweeps.size() > 1) found = confirmed_span(found, span_of(sweeps.back()));
   if (!found) {
     char text[120];
     std::snprintf(text, sizeof text,

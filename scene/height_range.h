@@ -16,8 +16,9 @@ struct FoundHeights {
 };
 
 /// Height range of a scene that names none: a coarse sweep by normalised correlation of the first
-/// view with the others. It is made twice, with the mean of all correlations of a pixel and with that
-/// of the better half of them, and only what both say is believed far from the rest.
+/// view with the others. Of three views and more it is made twice, with the mean of all correlations
+/// of a pixel and with that of the better half of them, and what only one of the two finds far from
+/// the rest is not believed.
 /// searched  range to search, as a rule the cameras' own, local m
 /// poll      called often, may throw to stop
 /// unwanted  whether heights found over a point of the ground, local m, do not count; may be empty

@@ -391,11 +391,7 @@ void ViewList::add(const rpc::Image& image, const std::string& name, const fs::p
   View view = view_of(counted, file);
   view.border = left.border;
   view.name = view_name(name, views_);
-  if (const auto& range = image.info.height_range) {
-    if (!named_) named_ = range;
-    named_->low = std::min(named_->low, range->low),
-    named_->high = std::max(named_->high, range->high);
-  }
+  if (const auto& range = image.info.height_range) named_ = named_ ? hull(*named_, *range) : *range;
   check_image(view);
   views_.push_back(std::move(view));
 }
