@@ -12,8 +12,9 @@ CASE     names of the cases to try; without one all of them
 Every case is the same scene, delivered another way: the images turned or cropped with their cameras exactly with them, in
 other formats and depths, with borders, clouds or cameras that are off, or reconstructed with other height ranges. A line
 for each: mean error of the cells found after a shift (what images tell of a place is relative), how many times that of the
-plain case, the same in the cells that both have found and that as many images see, cells found, what was warned of. Needs
-GDAL's programs and Python's GDAL (Debian: gdal-bin, python3-gdal, python3-numpy).
+plain case, the same in the cells that both have found and that as many images see, cells found, what was warned of. Where
+the cameras or the range were changed the two surfaces lie apart, and the cells in common are others in each. Needs GDAL's
+programs and Python's GDAL (Debian: gdal-bin, python3-gdal, python3-numpy).
 """
 import json
 import re
