@@ -225,6 +225,9 @@ FoundHeights find_height_range(const Scene& scene, const rpc::HeightRange& searc
   if (!searched.has_span())
     throw ConfigError("height range: " + std::to_string(searched.low) + " to " +
                       std::to_string(searched.high) + " m, expected a positive span to search");
+  if (scene.views.size() < 2)
+    throw Error(names_of(scene) +
+                ": no other image sees its ground, expected one or more to compare it with");
   Index largest = 0;
   for (const View& v : scene.views) largest = std::max({largest, v.height(), v.width()});
   const Index factor = std::max<Index>(1, (largest + kCoarse - 1) / kCoarse);

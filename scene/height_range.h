@@ -22,7 +22,7 @@ struct FoundHeights {
 /// searched  range to search, as a rule the cameras' own, local m
 /// poll      called often, may throw to stop
 /// unwanted  whether heights found over a point of the ground, local m, do not count; may be empty
-/// throws    Error naming the images that have no texture or do not agree anywhere
+/// throws    Error naming the images that have no texture or do not agree anywhere, or the only one
 FoundHeights find_height_range(const Scene& scene, const rpc::HeightRange& searched,
                                const std::function<void()>& poll = {},
                                const std::function<bool(double, double)>& unwanted = {});

@@ -417,6 +417,11 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
     CHECK(std::string(e.what()).find(": 0 windows agree at any height from ") != std::string::npos);
     CHECK(std::string(e.what()).ends_with(" more do under --mask; give a height range"));
   }
+  Scene alone = scene;
+  alone.views.resize(1);
+  CHECK_THROWS_WITH_AS(
+      find_height_range(alone, {low, high}),
+      "v.tif: no other image sees its ground, expected one or more to compare it with", Error);
   // an image of something else does not make it wider
   Scene with_another = scene;
   with_another.views.push_back(scene.views[1]);
