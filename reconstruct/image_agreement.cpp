@@ -25,10 +25,12 @@ struct Found {
   Index pairs = 0;
   /// For each image the squares in which it was judged, and those in which nobody confirmed it.
   std::vector<Index> judged, alone;
+  Index points = 0, in_two = 0;  ///< of the surface, and of them those in fewer than three images
 
   explicit Found(std::size_t images) : judged(images), alone(images) {}
   void add(const Found& other) {
     correlations += other.correlations, pairs += other.pairs;
+    points += other.points, in_two += other.in_two;
     for (std::size_t i = 0; i < judged.size(); ++i)
       judged[i] += other.judged[i], alone[i] += other.alone[i];
   }
@@ -102,6 +104,7 @@ ImageAgreement image_agreement(const scene::HeightField& surface,
   const Index rows = squares(H), columns = squares(W);
   std::vector<Found> in_rows(static_cast<std::size_t>(rows), Found(images.size()));
   for_each_index(rows, [&](Index r) {
+    Found& found = in_rows[static_cast<std::size_t>(r)];
     std::vector<Points> shown(images.size());
     for (Index c = 0; c < columns; ++c) {
       for (Points& points : shown) points.fill(NAN);
@@ -111,17 +114,23 @@ ImageAgreement image_agreement(const scene::HeightField& surface,
         if (!std::isfinite(z)) continue;
         const double x = surface.x0 + (static_cast<double>(j) + 0.5) * surface.step,
                      y = surface.y0 - (static_cast<double>(i) + 0.5) * surface.step;
-        for (std::size_t v = 0; v < images.size(); ++v)
+        Index holding = 0;
+        for (std::size_t v = 0; v < images.size(); ++v) {
+          const auto pixel = images[v].pixel_from_local(x, y, z);
+          holding += shown_pixel(images[v], pixel) >= 0;
           if (lines.sees(v, i, j))
-            shown[v][static_cast<std::size_t>(k)] =
-                shown_brightness(images[v], images[v].pixel_from_local(x, y, z));
+            shown[v][static_cast<std::size_t>(k)] = shown_brightness(images[v], pixel);
+        }
+        ++found.points, found.in_two += holding < 3;
       }
-      judge(shown, in_rows[static_cast<std::size_t>(r)]);
+      judge(shown, found);
     }
   });
   Found all(images.size());
   for (const Found& row : in_rows) all.add(row);
   if (all.pairs > 0) out.correlation = all.correlations / static_cast<double>(all.pairs);
+  if (all.points > 0 && images.size() > 2)
+    out.in_two = static_cast<double>(all.in_two) / static_cast<double>(all.points);
   const double least = std::max(kLeastSquares, kLeastShare * static_cast<double>(rows * columns));
   for (std::size_t v = 0; v < images.size(); ++v)
     if (const auto judged = static_cast<double>(all.judged[v]); judged >= least)

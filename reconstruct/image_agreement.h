@@ -21,6 +21,8 @@ struct ImageAgreement {
   /// between. It takes three images: of two that differ neither is right. 0 where there is less to
   /// judge by than a hundredth of the surface or 20 squares.
   std::vector<double> unconfirmed;
+  /// Share of the surface that lies in fewer than three of three images or more, hidden there or not.
+  double in_two = 0;
 };
 
 /// Correlation, from which on two pieces of images show the same, and below which they do not.

@@ -24,6 +24,7 @@ constexpr double kLowConfidence = 0.4;
 constexpr double kComplete = 0.8;
 constexpr double kWorstFit = 0.1;      // px; more shows in the heights
 constexpr double kUnconfirmed = 0.08;  // a cloud of a twelfth; other light and seasons reach 0.07
+constexpr double kInTwo = 0.125;       // of the surface; the rims of small triplets reach 0.12
 constexpr double kDisagree = 1;        // px; images of different years are left with 0.7
 constexpr double kBelowTies = 60;      // m, or the span of the tie points if that is more
 constexpr double kLifted = 5;          // m; what vendors promise of their heights
@@ -255,6 +256,12 @@ std::vector<Warning> image_warnings(const ImageAgreement& agreement,
                              views.at(i).name.c_str(),
                              apart_from(100 * kUnconfirmed, 100 * shares[i], 0).c_str(),
                              100 * kUnconfirmed)});
+  if (agreement.in_two > kInTwo)
+    out.push_back({"few_images",
+                   text_of("%s %% of the surface lies in only two of the %zu images, expected %g or "
+                           "less; expect more errors there",
+                           apart_from(100 * kInTwo, 100 * agreement.in_two, 0).c_str(),
+                           views.size(), 100 * kInTwo)});
   return out;
 }
 
@@ -288,6 +295,9 @@ std::vector<std::pair<std::string, std::string>> warning_codes() {
       {"image_differs", text_of("more than %g %% of the ground on which other images agree look "
                                 "different in an image; needs three images",
                                 100 * kUnconfirmed)},
+      {"few_images", text_of("more than %g %% of the surface in fewer than three of three images "
+                             "or more",
+                             100 * kInTwo)},
       {"camera_fit", text_of("cameras fitted to worse than %g px", kWorstFit)}};
 }
 

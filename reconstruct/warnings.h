@@ -35,7 +35,8 @@ std::vector<Warning> range_warnings(const scene::UserScene& user);
 /// confidence, large gaps, cameras that their quadratics do not follow.
 std::vector<Warning> surface_warnings(const Reconstruction& made);
 
-/// What the images let fear once there is a surface: one that shows something else than the others.
+/// What the images let fear once there is a surface: one that shows something else than the others, or
+/// much ground that only two of them show.
 /// views  whose images these are
 std::vector<Warning> image_warnings(const ImageAgreement& agreement,
                                     const std::vector<scene::View>& views);

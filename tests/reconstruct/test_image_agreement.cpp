@@ -118,6 +118,29 @@ TEST_CASE("images agree less on a surface that is wrong") {
   CHECK(std::abs(wrong) < 0.2);
 }
 
+TEST_CASE("ground that only two of three images show") {
+  const scene::HeightField field = plain_with_wall();
+  const Tensor ground = patches(1);
+  std::vector<nn::PosedImage> images{showing(ground, 0.4), showing(ground, -0.3),
+                                     showing(ground, 0.1)};
+  const std::vector<scene::View> views{test::view_from("a", 0.1), test::view_from("b", -0.1),
+                                       test::view_from("c", 0)};
+  // 160 m of ground to the images' 100: none lacks a cell, hidden or not
+  CHECK(image_agreement(field, images).in_two == 0);
+  for (Index y = 0; y < kPixels; ++y)
+    for (Index x = 0; x < kPixels; ++x)
+      if (images[2].local_from_pixel(static_cast<double>(x), static_cast<double>(y), 0.0)[1] > 20)
+        images[2].valid[y * kPixels + x] = 0;
+  const ImageAgreement agreement = image_agreement(field, images);
+  CHECK(agreement.in_two == doctest::Approx(0.3).epsilon(0.1));
+  const auto warnings = image_warnings(agreement, views);
+  REQUIRE(warnings.size() == 1);
+  CHECK(warnings[0].code == "few_images");
+  CHECK(warnings[0].text.find(" of the surface lies in only two of the 3 images") !=
+        std::string::npos);
+  CHECK(image_agreement(field, {images[0], images[2]}).in_two == 0);  // of two there are no three
+}
+
 TEST_CASE("an image with a cloud is warned of by its name") {
   const scene::HeightField field = plain_with_wall();
   const Tensor ground = patches(1);
