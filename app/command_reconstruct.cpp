@@ -2,7 +2,6 @@
 #include "satsurf/app/log.h"
 #include "satsurf/app/program.h"
 #include "satsurf/app/reconstruct_job.h"
-#include "satsurf/core/memory.h"
 #include "satsurf/core/var.h"
 #include "satsurf/reconstruct/tiling.h"
 #include "satsurf/rpc/read.h"
@@ -19,8 +18,8 @@
 namespace satsurf::app {
 namespace {
 
-/// Whether the images are worked on in tiles: because one is too large for the network or for the
-/// memory, or because only a part of the ground is wanted.
+/// Whether the images are worked on in tiles, as far as it shows before they are read: because one is
+/// too large for the network or for the memory, or because only a part of the ground is wanted.
 /// throws  IoError
 bool needs_tiles(const ReconstructJob& job) {
   const ReconstructCommand& options = job.options;
@@ -32,15 +31,14 @@ bool needs_tiles(const ReconstructJob& job) {
     largest = std::max({largest, info.width, info.height});
   }
   if (largest > reconstruct::kWholeImage) return true;
-  return !options.max_memory.empty() &&
+  return job.max_memory > 0 &&
          largest >
              reconstruct::window_for_memory(
                  job.networks.model.config(),
                  {std::min(static_cast<Index>(options.images.size()), options.max_views), largest,
                   std::min(static_cast<Index>(options.images.size()),
                            std::max(options.max_views, scene::kMostSurveyed))},
-                 reconstruct::surface_kind(job.how({})),
-                 memory_from_text(options.max_memory, "max_memory"));
+                 reconstruct::surface_kind(job.how({})), job.max_memory);
 }
 
 /// Keeps the first of the names that mean one file: an image beside itself says nothing about heights,
@@ -63,10 +61,7 @@ void run_reconstruct(ReconstructCommand& options) {
   const NoGrad no_grad;
   drop_repeated(options.images);
   ReconstructJob job(options);
-  if (needs_tiles(job))
-    reconstruct_tiles(job);
-  else
-    reconstruct_whole(job);
+  if (needs_tiles(job) || !reconstruct_whole(job)) reconstruct_tiles(job);
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include "satsurf/app/products.h"
 #include "satsurf/app/program.h"
 #include "satsurf/core/error.h"
+#include "satsurf/core/files.h"
 #include "satsurf/core/var.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/rpc/fit.h"
@@ -47,8 +48,8 @@ struct RenderConfig {
   fs::path surfels, image;
   bool nadir = false;  ///< from straight above, instead of into `image`
   std::vector<fs::path> image_dirs;
-  double resolution = 0.5;  ///< of the view from above, m
-  fs::path grid;            ///< raster whose cells the view from above has; empty for its own
+  double resolution = 0;  ///< of the view from above, m; 0 for that of `grid`
+  fs::path grid;          ///< raster whose cells the view from above has; empty for dsm.tif beside
   NadirContent show = NadirContent::automatic;
 
   template <class Self, class V>
@@ -63,11 +64,16 @@ struct RenderConfig {
             .flag = "--image-dir",
             .placeholder = "DIR"});
     v("resolution", s.resolution,
-      Field{.help = "cell of the view from above", .unit = "m", .min = 0.01, .max = 1000});
+      Field{.help = "cell of the view from above",
+            .unit = "m",
+            .min = 0.01,
+            .max = 1000,
+            .automatic = "as --grid"});
     v("grid", s.grid,
-      Field{.help = "give the view from above the cells of this raster, e.g. dsm.tif of the same "
-                    "reconstruction, instead of --resolution",
-            .placeholder = "FILE"});
+      Field{
+          .help = "give the view from above the cells of this raster, instead of --resolution",
+          .automatic = "dsm.tif beside the surfels if it is of their UTM zone, else cells of 0.5 m",
+          .placeholder = "FILE"});
     v("show", s.show,
       Field{.help =
                 "what the view from above shows; automatic is colours as .png, heights as .tif"});
@@ -89,23 +95,27 @@ struct RenderCommand : RenderConfig {
   }
 };
 
-/// The cells that --grid or --resolution ask for.
+/// The cells that --grid or --resolution ask for, or those of the surface that lies beside the surfels.
 /// throws  IoError for a --grid of another reference system
 GridFromAbove grid_of(const RenderConfig& options, const rpc::LocalFrame& frame,
                       const splat::Surfels& surfels) {
-  if (!options.grid.empty()) {
-    const rpc::GeoRaster raster = rpc::read_geo_raster(options.grid);
-    if (raster.grid.epsg != frame.zone.epsg())
+  constexpr double kCell = 0.5;  // m
+  const fs::path beside = options.surfels.parent_path() / "dsm.tif";
+  const bool named = !options.grid.empty();
+  if (named || (options.resolution == 0 && path_exists(beside))) {
+    const rpc::GeoRaster raster = rpc::read_geo_raster(named ? options.grid : beside);
+    const std::size_t rank = raster.values.rank();
+    if (raster.grid.epsg == frame.zone.epsg())
+      return {
+          {{}, raster.grid.x0 - frame.easting0, raster.grid.y0 - frame.northing0, raster.grid.step},
+          raster.values.dim(rank - 2),
+          raster.values.dim(rank - 1)};
+    if (named)
       throw IoError(options.grid.string() + ": EPSG:" + std::to_string(raster.grid.epsg) +
                     ", expected EPSG:" + std::to_string(frame.zone.epsg()) + " of " +
                     options.surfels.string());
-    const std::size_t rank = raster.values.rank();
-    return {
-        {{}, raster.grid.x0 - frame.easting0, raster.grid.y0 - frame.northing0, raster.grid.step},
-        raster.values.dim(rank - 2),
-        raster.values.dim(rank - 1)};
   }
-  return grid_from_above(surfels, options.resolution);
+  return grid_from_above(surfels, options.resolution > 0 ? options.resolution : kCell);
 }
 
 /// Writes colours or heights, each as a GeoTIFF or as a PNG with world files.

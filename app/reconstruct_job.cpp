@@ -5,6 +5,7 @@
 #include "satsurf/app/pointing_text.h"
 #include "satsurf/app/surface_files.h"
 #include "satsurf/core/files.h"
+#include "satsurf/core/memory.h"
 #include "satsurf/core/nearest.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/safetensors.h"
@@ -178,6 +179,7 @@ ReconstructJob::ReconstructJob(const ReconstructCommand& asked)
     : options(asked),
       height_range(range_of(asked)),
       crs(crs_of(asked)),
+      max_memory(asked.max_memory.empty() ? 0 : memory_from_text(asked.max_memory, "max_memory")),
       weights(weights_of(asked)),
       rules(rules_of(asked)),
       staged(staged_folder(*this)),
@@ -192,6 +194,7 @@ reconstruct::ReconstructOptions ReconstructJob::how(const rpc::LocalFrame& frame
   out.surface = options.surface;
   out.network = networks.surface ? &*networks.surface : nullptr;
   out.resolution = options.resolution;
+  out.max_memory = max_memory;
   if (rules.mask)
     out.unwanted = [mask = rules.mask, frame](const reconstruct::Grid& grid) {
       return mask->on(
@@ -263,16 +266,22 @@ void print_plan_ground(const scene::UserScene& user, const rpc::HeightRange& sea
   if (crs) std::printf("rasters       %s, by resampling\n", crs->label.c_str());
 }
 
-void print_plan_time(double megapixels, Index views, double beside) {
-  // Seconds that one thread takes for a megapixel that the network sees, and for each image that it
-  // compares it with, surface and files included; measured with the shipped weights on an AMD EPYC
-  // with AVX-512.
-  constexpr double kMegapixel = 4.5, kView = 0.65;
-  const double each = kMegapixel + kView * static_cast<double>(views);
+void print_plan_time(const PlannedWork& work) {
+  // Seconds of one thread, measured with the shipped weights on an AMD EPYC with AVX-512: for a
+  // megapixel that the network sees, and for each image that it compares it with; for a million cells
+  // and columns of voxels, their files included; and of the run for what is small.
+  constexpr double kMegapixel = 1.9, kInTiles = 0.9, kView = 0.68, kCells = 4, kColumns = 3;
+  constexpr double kSmall = 0.6;
+  const double megapixel = kMegapixel + (work.in_tiles ? kInTiles : 0) +
+                           kView * static_cast<double>(work.views),
+               cells = 1e-6 * work.cells, beside = kSmall + work.so_far;
+  const double seconds =
+      beside +
+      (megapixel * work.megapixels + kCells * cells + 1e-6 * kColumns * work.columns) / threads();
   std::printf(
-      "time          about %s, estimated by %.1f s per megapixel and thread for %.1f "
-      "megapixels on %d threads\n",
-      time_text(beside + each * megapixels / threads()).c_str(), each, megapixels, threads());
+      "time          about %s on %d threads, of one %.1f s for each of %.1f megapixels and %.1f s "
+      "for each of %.1f million cells, estimated; %.1f s beside\n",
+      time_text(seconds).c_str(), threads(), megapixel, work.megapixels, kCells, cells, beside);
 }
 
 nlohmann::json results_json(const SurfaceFacts& facts, const scene::UserScene& user) {

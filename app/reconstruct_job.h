@@ -69,6 +69,7 @@ struct ReconstructJob {
   const ReconstructCommand& options;
   std::optional<rpc::HeightRange> height_range;  ///< that was asked for
   std::optional<rpc::ProjectedCrs> crs;          ///< of the rasters; none for that of the frame
+  double max_memory = 0;                         ///< bytes of the whole program, 0 for any
   std::filesystem::path weights;
   scene::ViewRules rules;
   std::optional<OutputFolder> staged;  ///< empty in a dry run
@@ -96,8 +97,9 @@ struct ReconstructJob {
   void note_scene(const scene::UserScene& user);
 };
 
-/// Both ways. They leave the finished folder in its place, or print their plan.
-void reconstruct_whole(ReconstructJob& job);
+/// Both ways. They leave the finished folder in its place, or print their plan. Of whole images: false,
+/// with nothing said or written, where the surface would take more than --max-memory.
+bool reconstruct_whole(ReconstructJob& job);
 void reconstruct_tiles(ReconstructJob& job);
 
 /// The first lines of a plan: heights and ground.
@@ -106,11 +108,17 @@ void reconstruct_tiles(ReconstructJob& job);
 void print_plan_ground(const scene::UserScene& user, const rpc::HeightRange& searched,
                        const reconstruct::Ground& ground,
                        const std::optional<rpc::ProjectedCrs>& crs);
+/// What the time of a run depends on.
+struct PlannedWork {
+  double megapixels = 0;  ///< that the network sees, of all images
+  Index views = 0;        ///< that it sees at once
+  double cells = 0;       ///< of the surface, where tiles overlap those of each
+  double columns = 0;     ///< of the mesh's voxels, 0 without one
+  bool in_tiles = false;
+  double so_far = 0;  ///< s that it took to read and compare the images
+};
 /// The last line of a plan: the time, which is an estimate.
-/// megapixels  that the network sees, of all images
-/// views       that it sees at once
-/// beside      s that the rest takes
-void print_plan_time(double megapixels, Index views, double beside);
+void print_plan_time(const PlannedWork& work);
 
 /// What the record says of every run.
 struct SurfaceFacts {

@@ -190,11 +190,14 @@ struct ReconstructConfig {
             .automatic = "none",
             .placeholder = "FILE"});
     v("max_memory", s.max_memory,
-      Field{.help = "memory that the program may take, e.g. 4GB: the tiles that large images are "
-                    "worked on in are as large as it allows, and 2048 px at most",
-            .automatic = "tiles of 1280 px",
-            .flag = "--max-memory",
-            .placeholder = "SIZE"});
+      Field{
+          .help =
+              "memory that the program may take, e.g. 4GB: the tiles that large images are "
+              "worked on in are as large as it allows, and 2048 px at most; small images are, too, "
+              "where their surface would take more, and a mesh that would is left out",
+          .automatic = "tiles of 1280 px",
+          .flag = "--max-memory",
+          .placeholder = "SIZE"});
     v("report", s.report,
       Field{.help = "how to tell people of the run: report.html, one page that opens from disk, or "
                     "not at all"});

@@ -101,7 +101,7 @@ void add_pointing(const scene::Pointing& pointing, Report& report) {
     report.images[i].shift = pointing.shifts[i];
   for (std::size_t k = 0; k < pointing.before.size(); ++k) {
     const scene::PairResidual& pair = pointing.before[k];
-    const bool corrected = k < pointing.after.size() && pair.ties > 0;
+    const bool corrected = pointing.applied && k < pointing.after.size() && pair.ties > 0;
     report.pairs.push_back({pointing.names[pair.a], pointing.names[pair.b], pair.ties, pair.across,
                             corrected ? std::optional(pointing.after[k].across) : std::nullopt,
                             corrected ? pointing.after[k].along : pair.along});

@@ -101,7 +101,14 @@ void print_plan(const Tiling& tiling, const scene::Survey& survey, const Reconst
       tiling.views);
   std::printf("memory        about %s; %s are free\n", memory_text(tiling.memory_bytes).c_str(),
               memory_text(static_cast<double>(available_memory())).c_str());
-  print_plan_time(tiling.megapixels, tiling.views, 0);
+  double cells = 0;
+  for (const reconstruct::Tile& tile : tiling.tiles)
+    cells += static_cast<double>(tile.all.width()) * static_cast<double>(tile.all.height());
+  print_plan_time({.megapixels = tiling.megapixels,
+                   .views = tiling.views,
+                   .cells = cells,
+                   .in_tiles = true,
+                   .so_far = job.record.seconds()});
 }
 
 /// throws  Error where the system has less memory than the plan needs
@@ -430,8 +437,6 @@ void reconstruct_tiles(ReconstructJob& job) {
   const ReconstructCommand& options = job.options;
   Progress& progress = job.progress;
   rpc::limit_block_cache(kBlockCache);
-  const double max_memory =
-      options.max_memory.empty() ? 0 : memory_from_text(options.max_memory, "max_memory");
   std::optional<TileStore> store;
   if (!options.dry_run) store.emplace(options.out, options.resume, options.overwrite);
   progress.update("read", 0);
@@ -440,7 +445,7 @@ void reconstruct_tiles(ReconstructJob& job) {
   const scene::Scene& scene = survey.user.scene;
   const Wanted wanted = wanted_ground(options, scene.frame);
   const Tiling tiling = reconstruct::plan_tiles(job.networks.model.config(), survey,
-                                                job.how(scene.frame), wanted.ground, max_memory);
+                                                job.how(scene.frame), wanted.ground);
   job.settle_crs(survey.user);
   if (store)
     store->begin(plan_json(job, survey, tiling));  // before files are read for their hashes

@@ -32,10 +32,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Seconds of a run beside what grows with its pixels: it starts, looks for the heights and writes
-/// what is small; measured as the other ones are.
-constexpr double kBesideSeconds = 1.7;
-
 double mean_of(const Tensor& t) {
   double sum = 0, n = 0;
   for (const float v : t.values())
@@ -54,10 +50,15 @@ void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene
               memory_text(static_cast<double>(available_memory())).c_str());
   for (const nn::PartMemory& part : plan.memory)
     std::printf("  %-12s%s\n", part.part.c_str(), memory_text(part.bytes).c_str());
-  if (plan.mesh_bytes > static_cast<double>(available_memory()))
+  if (plan.mesh_bytes > std::min(plan.memory_bytes, static_cast<double>(available_memory())))
     std::printf("  mesh        %s, which it would not get: give a larger --voxel or --mesh none\n",
                 memory_text(plan.mesh_bytes).c_str());
-  print_plan_time(plan.megapixels, static_cast<Index>(user.scene.views.size()), kBesideSeconds);
+  const double area = static_cast<double>(plan.height) * static_cast<double>(plan.width);
+  print_plan_time({.megapixels = plan.megapixels,
+                   .views = static_cast<Index>(user.scene.views.size()),
+                   .cells = area,
+                   .columns = plan.voxel > 0 ? area * std::pow(plan.step / plan.voxel, 2) : 0,
+                   .so_far = job.record.seconds()});
 }
 
 /// [{part, bytes, planned_bytes}], and the same for the log.
@@ -131,7 +132,13 @@ nlohmann::ordered_json write_mesh(const fs::path& file, const std::vector<mesh::
   mesh::FusionOptions how;
   how.voxel = made.voxel;
   mesh::Mesh surface;
+  release_tensor_cache();  // voxels are no tensors
   try {
+    if (made.planned_mesh_bytes > made.planned_memory_bytes)
+      throw Error(
+          fmt::format("voxels of {:g} m need {}, more than --max-memory; give a larger "
+                      "--voxel",
+                      how.voxel, memory_text(made.planned_mesh_bytes)));
     check_memory(fmt::format("voxels of {:g} m need", how.voxel), made.planned_mesh_bytes,
                  "give a larger --voxel", static_cast<double>(tensor_bytes()));
     surface = mesh::mesh_from_views(seen, how);
@@ -171,9 +178,17 @@ SurfaceFacts facts_of(const reconstruct::Reconstruction& made) {
   return facts;
 }
 
+/// Whether the surface alone would take more than it may, as one of fine cells does.
+bool exceeds_limit(const ReconstructJob& job, const scene::Scene& scene,
+                   const reconstruct::ReconstructOptions& how) {
+  return how.max_memory > 0 &&
+         reconstruct::plan_reconstruction(job.networks.model.config(), scene, how).surface_bytes >
+             how.max_memory;
+}
+
 }  // namespace
 
-void reconstruct_whole(ReconstructJob& job) {
+bool reconstruct_whole(ReconstructJob& job) {
   const ReconstructCommand& options = job.options;
   Progress& progress = job.progress;
   progress.update("read", 0);
@@ -181,19 +196,22 @@ void reconstruct_whole(ReconstructJob& job) {
       options.images, options.image_dirs, job.height_range, stop_if_interrupted, job.rules);
   stop_if_interrupted();
   const scene::Scene& scene = user.scene;
+  reconstruct::ReconstructOptions how = job.how(scene.frame);
+  const bool with_mesh = options.mesh == MeshKind::tsdf;
+  if (with_mesh) how.mesh = options.voxel;
+  if (exceeds_limit(job, scene, how)) return false;
   job.settle_crs(user);
   job.note_scene(user);
 
   const auto start = std::chrono::steady_clock::now();
-  reconstruct::ReconstructOptions how = job.how(scene.frame);
-  const bool with_mesh = options.mesh == MeshKind::tsdf;
-  if (with_mesh) how.mesh = options.voxel;
   how.progress = [&](const std::string& stage, double fraction) {
     stop_if_interrupted();
     progress.update(stage, fraction);
   };
-  if (options.dry_run)
-    return print_plan(reconstruct::plan_of_run(job.networks.model, scene, how), user, job);
+  if (options.dry_run) {
+    print_plan(reconstruct::plan_of_run(job.networks.model, scene, how), user, job);
+    return true;
+  }
   OutputFolder& folder = *job.staged;
   const reconstruct::Reconstruction made = reconstruct::reconstruct(job.networks.model, scene, how);
   SurfaceFacts facts = facts_of(made);
@@ -244,6 +262,7 @@ void reconstruct_whole(ReconstructJob& job) {
   folder.commit();
   print_summary(facts, scene, job.record.seconds(), options.out);
   check_coverage(made.completeness, options);
+  return true;
 }
 
 }  // namespace satsurf::app

@@ -63,6 +63,11 @@ class Image:
         tif = scratch / "out.tif" if options else path
         run("gdal_translate", "-q", raw, tif)
         Path(str(tif) + ".aux.xml").unlink(missing_ok=True)
+        if "JP2OpenJPEG" in options:  # which knows no camera yet, and GDAL would put it into the file
+            run("gdal_translate", "-q", *options, tif, path)
+            tags = "".join(f'    <MDI key="{key}">{value}</MDI>\n' for key, value in self.rpc.items())
+            Path(str(path) + ".aux.xml").write_text(f'<PAMDataset>\n  <Metadata domain="RPC">\n{tags}  </Metadata>\n</PAMDataset>\n')
+            return
         lines = [f"{name}: {self.rpc[name]}" for name in NUMBERS]
         for name in COEFFICIENTS:
             lines += [f"{name}_{i + 1}: {v}" for i, v in enumerate(self.rpc[name].split())]
@@ -159,7 +164,7 @@ def cases(images):
     yield "cameras off by 30 px", changed((0, lambda i: i.shift_camera(30, 0)), (1, lambda i: i.shift_camera(-15, 26)),
                                           (2, lambda i: i.shift_camera(-15, -26))), [], *tif
     yield "NITF with RPC00B", changed(), [], ["-of", "NITF"], ".ntf"
-    yield "JPEG 2000", changed(), [], ["-of", "JP2OpenJPEG", "-co", "QUALITY=25"], ".jp2"
+    yield "JPEG 2000 with the camera in .aux.xml", changed(), [], ["-of", "JP2OpenJPEG", "-co", "QUALITY=25"], ".jp2"
     for quarters in (1, 2, 3):
         yield f"one image turned by {90 * quarters}", changed((1, lambda i, q=quarters: i.turn(q))), [], *tif
     yield "all turned differently", changed((0, lambda i: i.turn(1)), (1, lambda i: i.turn(2)), (2, lambda i: i.turn(3))), [], *tif

@@ -135,14 +135,14 @@ std::vector<Ground> tiles_of(const Ground& ground, double side) {
 }  // namespace
 
 WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surface surface) {
-  constexpr double kProgram = 150e6;              // code, libraries and weights
-  constexpr double kKept = 1.2;                   // tensors, with freed ones that wait for reuse
-  constexpr double kView = 4, kSurfel = 14;       // floats a pixel, floats a surfel
-  constexpr double kSplat = 24, kMaps = 19;       // floats a surfel, floats a cell, to render
-  constexpr double kLists = 21;                   // floats a surfel, beside the tensors
-  constexpr double kFuse = 18, kFused = 5;        // floats a surfel, floats a cell, to fuse
-  constexpr double kRefine = 18, kRefined = 100;  // alike, to refine
-  constexpr double kHeights = 9, kMesh = 110;     // floats a pixel, floats a column of voxels
+  constexpr double kProgram = 150e6;             // code, libraries and weights
+  constexpr double kKept = 1.2;                  // tensors, with freed ones that wait for reuse
+  constexpr double kView = 4, kSurfel = 14;      // floats a pixel, floats a surfel
+  constexpr double kSplat = 24, kMaps = 19;      // floats a surfel, floats a cell, to render
+  constexpr double kLists = 21;                  // floats a surfel, beside the tensors
+  constexpr double kFuse = 18, kFused = 5;       // floats a surfel, floats a cell, to fuse
+  constexpr double kRefine = 3, kRefined = 133;  // alike, to refine
+  constexpr double kHeights = 9, kMesh = 84;     // floats a pixel, floats a column of voxels
   const Index views = size.views;
   const double pixels = size.pixels, cells = size.cells;
   const Index height = size.window.height, width = size.window.width;
@@ -232,7 +232,8 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   if (plan.voxel > 0) size.columns = size.cells * plan.step * plan.step / (plan.voxel * plan.voxel);
   WorkMemory memory = work_memory(model, size, surface_kind(options));
   plan.surface_bytes = memory.surface_bytes, plan.mesh_bytes = memory.mesh_bytes;
-  plan.memory_bytes = std::max(plan.surface_bytes, plan.mesh_bytes);
+  const bool with_mesh = options.max_memory == 0 || plan.mesh_bytes <= options.max_memory;
+  plan.memory_bytes = std::max(plan.surface_bytes, with_mesh ? plan.mesh_bytes : 0.0);
   plan.memory = std::move(memory.parts);
   return plan;
 }

@@ -74,6 +74,8 @@ struct ReconstructOptions {
   bool narrow = true;  ///< look for a narrower range of heights first, see `narrowed_range`
   /// Voxel of the mesh that will be made of it, m, 0 for two ground pixels; none without a mesh.
   std::optional<double> mesh;
+  /// Bytes of the whole program beyond which no mesh will be made, 0 for any.
+  double max_memory = 0;
   /// Is told how far each stage has come, often, and also before the first. May be empty. To
   /// cancel it throws: its own exception leaves `reconstruct` as it is, and nothing is kept.
   std::function<void(const std::string& stage, double fraction)> progress;
@@ -101,7 +103,8 @@ struct ReconstructPlan {
   bool whole_images = false;                   ///< the one window of a view holds its whole image
   double memory_bytes = 0;                     ///< of the whole program, within a tenth
   double surface_bytes = 0;                    ///< of it before the mesh, which may fail alone
-  double mesh_bytes = 0;                       ///< of it while the mesh is made, 0 without one
+  /// Of it while the mesh is made, 0 without one. More than `memory_bytes` where `max_memory` forbids.
+  double mesh_bytes = 0;
   /// Tensors of the network's parts, then of "surface", each within a tenth.
   std::vector<nn::PartMemory> memory;
   double megapixels = 0;  ///< that the network sees, of all views and windows together

@@ -22,7 +22,8 @@ constexpr Index kLeastWindow = 256;  // px; below, hardly anything is left betwe
 /// What the program takes beside one tile's work: the reduced copies, the windows of the next tile
 /// that are read meanwhile, and the blocks that the readers keep.
 /// window  pixels
-double memory_around(const ImageSizes& images, double window) {
+/// alone   there is no next tile
+double memory_around(const ImageSizes& images, double window, bool alone) {
   constexpr double kBlocks = 128e6, kStored = 3;  // bytes, bytes a pixel
   constexpr double kCopy = 2048, kCopied = 20;    // px, bytes a pixel
   constexpr double kAhead = 40;                   // bytes a pixel
@@ -31,13 +32,14 @@ double memory_around(const ImageSizes& images, double window) {
                surveyed = static_cast<double>(std::max(images.views, images.surveyed)),
                side = static_cast<double>(images.largest);
   return std::min(kBlocks, surveyed * kStored * square(side)) +
-         surveyed * kCopied * square(std::min(side, kCopy)) + views * kAhead * window;
+         surveyed * kCopied * square(std::min(side, kCopy)) + (alone ? 0 : views * kAhead * window);
 }
 
 /// window  of every view, px
 /// cells   of the surface
+/// alone   there is no other tile
 double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images,
-                      const scene::WindowSize& window, Surface surface, double cells) {
+                      const scene::WindowSize& window, Surface surface, double cells, bool alone) {
   constexpr double kRepeated = 1.08;  // gaps between the tensors of tiles of different sizes
   const auto area = static_cast<double>(window.count());
   const WorkMemory work = work_memory(model,
@@ -46,7 +48,7 @@ double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images,
                                        .pixels = static_cast<double>(images.views) * area,
                                        .cells = cells},
                                       surface);
-  return kRepeated * (memory_around(images, area) + work.surface_bytes);
+  return (alone ? 1 : kRepeated) * (memory_around(images, area, alone) + work.surface_bytes);
 }
 
 /// The same of a square window.
@@ -54,8 +56,17 @@ double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images,
 double memory_of_square(const nn::ModelConfig& model, const ImageSizes& images, Index side,
                         Surface surface, double cells) {
   const scene::WindowSize window{side, side};
-  return memory_of_tile(model, images, window, surface,
-                        cells * static_cast<double>(window.count()));
+  return memory_of_tile(model, images, window, surface, cells * static_cast<double>(window.count()),
+                        false);
+}
+
+/// throws  ConfigError where the least that is needed is more than there may be
+void require_room(double bytes, double needed, const ImageSizes& images) {
+  if (needed > bytes)
+    throw ConfigError("max_memory: " + memory_text(bytes) + ", expected " +
+                      std::to_string(static_cast<Index>(std::ceil(needed / 1e6))) +
+                      " MB or more for " + std::to_string(images.views) + " images" +
+                      " and cells of this size");
 }
 
 /// What blending one row of tiles takes.
@@ -229,17 +240,13 @@ Index window_for_memory(const nn::ModelConfig& model, const ImageSizes& images, 
   Index window = std::max(least, kLargestWindow / multiple * multiple);
   while (window > least && memory_of_square(model, images, window, surface, cells) > bytes)
     window -= multiple;
-  const double needed = memory_of_square(model, images, window, surface, cells);
-  if (needed > bytes)
-    throw ConfigError("max_memory: " + memory_text(bytes) + ", expected " +
-                      std::to_string(static_cast<Index>(std::ceil(needed / 1e6))) +
-                      " MB or more for " + std::to_string(images.views) + " images");
+  require_room(bytes, memory_of_square(model, images, window, surface, cells), images);
   return window;
 }
 
 Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
-                  const ReconstructOptions& options, const std::optional<Ground>& wanted,
-                  double max_memory) {
+                  const ReconstructOptions& options, const std::optional<Ground>& wanted) {
+  const double max_memory = options.max_memory;
   const scene::Scene& scene = survey.user.scene;
   const auto surveyed = static_cast<Index>(survey.views.size());
   const Surface surface = surface_kind(options);
@@ -289,9 +296,9 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
     rules.window = window_for_memory(model, images, surface, max_memory, cells());
     for (;; rules.window -= rules.multiple) {
       how = best_cut(rules, how.axes);
-      if (rules.window <= kLeastWindow ||
-          memory_of_square(model, images, rules.window, surface, cells()) <= max_memory)
-        break;
+      const double needed = memory_of_square(model, images, rules.window, surface, cells());
+      if (needed <= max_memory) break;
+      if (rules.window <= kLeastWindow) require_room(max_memory, needed, images);
     }
   }
   out.window = rules.window;
@@ -301,7 +308,8 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
     out.megapixels += 1e-6 * look.pixels();
     const double bytes = memory_of_tile(
         model, images, look.window, surface,
-        static_cast<double>(tile.all.width()) * static_cast<double>(tile.all.height()));
+        static_cast<double>(tile.all.width()) * static_cast<double>(tile.all.height()),
+        out.tiles.size() == 1);
     if (bytes > out.memory_bytes) out.memory_bytes = bytes, out.expected_window = look.window;
   }
   out.memory_bytes = std::max(out.memory_bytes, memory_of_rows(out, survey.colour));

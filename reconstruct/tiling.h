@@ -99,11 +99,10 @@ Index window_for_memory(const nn::ModelConfig& model, const ImageSizes& images, 
 /// and where one is not, its tile has several windows. Where images
 /// are turned against the grid, so are the tiles if that saves a twentieth: the window of an upright
 /// tile would show half as much again.
-/// wanted      the part of the ground to make, all if left out
-/// max_memory  bytes of the whole program, 0 for as much as windows of `kWholeImage` px take
-/// throws      Error where two views see nothing of the ground that is wanted, or for a million tiles; ConfigError
+/// options  of which `max_memory` of 0 means as much as windows of `kWholeImage` px take
+/// wanted   the part of the ground to make, all if left out
+/// throws   Error where two views see nothing of the ground that is wanted, or for a million tiles; ConfigError
 Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
-                  const ReconstructOptions& options, const std::optional<Ground>& wanted,
-                  double max_memory);
+                  const ReconstructOptions& options, const std::optional<Ground>& wanted);
 
 }  // namespace satsurf::reconstruct

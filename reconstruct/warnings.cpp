@@ -195,7 +195,8 @@ std::vector<Warning> pointing_warnings(const scene::Pointing& pointing, const sc
     out.push_back(
         {"heights_as_a_whole",
          text_of("cameras that were off by %.1f px may put all heights together %.0f m too high or "
-                 "too low, which images do not show; points measured on the ground would",
+                 "too low and tilt the ground, which images do not show; points measured on it "
+                 "would",
                  pointing.largest_shift, lift)});
   return out;
 }
@@ -257,11 +258,12 @@ std::vector<Warning> image_warnings(const ImageAgreement& agreement,
                              apart_from(100 * kUnconfirmed, 100 * shares[i], 0).c_str(),
                              100 * kUnconfirmed)});
   if (agreement.in_two > kInTwo)
-    out.push_back({"few_images",
-                   text_of("%s %% of the surface lies in only two of the %zu images, expected %g or "
-                           "less; expect more errors there",
-                           apart_from(100 * kInTwo, 100 * agreement.in_two, 0).c_str(),
-                           views.size(), 100 * kInTwo)});
+    out.push_back(
+        {"few_images",
+         text_of("%s %% of the surface lies in only two of the %zu images, expected %g or "
+                 "less; expect more errors there",
+                 apart_from(100 * kInTwo, 100 * agreement.in_two, 0).c_str(), views.size(),
+                 100 * kInTwo)});
   return out;
 }
 

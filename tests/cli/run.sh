@@ -366,6 +366,16 @@ if bounded "$satsurf" --version >/dev/null 2>&1; then # a sanitizer takes more
   holds "and it takes nothing with it" test -s failing/report.html -a -s failing/surfels.ply -a ! -e failing/mesh.ply
   holds "the surface least of all" cmp out/dsm.tif failing/dsm.tif
 fi
+succeeds "a mesh that the limit does not hold" "$satsurf" reconstruct "${images[@]}" --out failing --overwrite --weights $weights --voxel 0.01 --max-memory 2GB --report none --quiet
+cp stderr failed.txt
+holds "the limit is named" grep -qE "^warning: no mesh: voxels of 0.01 m need .* GB, more than --max-memory; give a larger --voxel" failed.txt
+holds "and nothing else is missing" cmp out/dsm.tif failing/dsm.tif
+refuses "cells so fine that no tile of them fits" 2 "max_memory: .*, expected .* MB or more for 3 images and cells" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --resolution 0.015 --max-memory 500MB --quiet
+fine=("$satsurf" reconstruct large/Track3-RGB/*.tif --out fine --weights $weights --resolution 0.1 --pointing off --dry-run)
+succeeds "the plan of a surface of fine cells" "${fine[@]}"
+holds "it is made at once" grep -qE "^tiles +1, " stdout
+succeeds "the same with less memory" "${fine[@]}" --max-memory 400MB
+holds "it is made in tiles" grep -qE "^tiles +([2-9] x|[0-9]+ x [2-9])" stdout
 "$satsurf" reconstruct "${images[@]}" --out failing --overwrite --weights $weights --mesh none --min-coverage 1 --quiet >stdout 2>failed.txt
 holds "too few cells are a failure" test $? -eq 1
 holds "which says how many there are" grep -q "common ground has a height, expected 100.0 % by --min-coverage" failed.txt
@@ -465,7 +475,10 @@ else
 fi
 succeeds "render from above" "$satsurf" render --surfels out/surfels.ply --nadir --out above.png
 succeeds "render heights" "$satsurf" render --surfels out/surfels.ply --nadir --out above.tif
+succeeds "render heights in cells of 2 m" "$satsurf" render --surfels out/surfels.ply --nadir --resolution 2 --out above2.tif
+holds "of which there are fewer" test "$(stat -c %s above2.tif)" -lt "$(stat -c %s above.tif)"
 succeeds "render heights on the grid of the surface" "$satsurf" render --surfels out/surfels.ply --nadir --grid out/dsm.tif --out grid.tif
+holds "which it has by itself" cmp above.tif grid.tif
 succeeds "they can be compared with it" "$satsurf" evaluate --dsm grid.tif --truth out/dsm.tif
 succeeds "render colours on it" "$satsurf" render --surfels out/surfels.ply --nadir --grid out/dsm.tif --show colours --out colours.tif
 succeeds "they have its system" "$satsurf" info colours.tif

@@ -43,6 +43,20 @@ TEST_CASE("the shipped weights on a made-up scene") {
   const NoGrad no_grad;
   const auto made = reconstruct::reconstruct(model, scene, options);
 
+  const auto within_a_tenth = [](const reconstruct::Reconstruction& of) {
+    const double planned = of.planned_memory.back().bytes;
+    REQUIRE(of.memory.back().part == "surface");
+    CAPTURE(of.memory.back().bytes);
+    CAPTURE(planned);
+    CHECK(std::abs(of.memory.back().bytes / planned - 1) < 0.1);
+  };
+  within_a_tenth(made);
+  SUBCASE("the memory of finer cells is foreseen too") {
+    reconstruct::ReconstructOptions fine = options;
+    fine.resolution = 0.2;
+    within_a_tenth(reconstruct::reconstruct(model, scene, fine));
+  }
+
   const Index H = made.dsm.z.dim(0), W = made.dsm.z.dim(1);
   REQUIRE(H == 210);
   REQUIRE(W == 217);

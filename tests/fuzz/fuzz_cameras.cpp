@@ -79,7 +79,7 @@ void run(std::string_view bytes) {
         for (const scene::View& v : scene.views)
           survey.views.push_back({.source = {}, .width = 100, .height = 100, .rpc = v.rpc});
         const reconstruct::Tiling tiling =
-            reconstruct::plan_tiles(model, survey, options, std::nullopt, 0);
+            reconstruct::plan_tiles(model, survey, options, std::nullopt);
         require(tiling.grid.width > 0 && tiling.grid.height > 0 && !tiling.tiles.empty(),
                 "a tiling has cells and tiles");
       });

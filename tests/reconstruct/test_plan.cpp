@@ -134,7 +134,12 @@ TEST_CASE("a mesh that does not fit into the memory does not stop the surface") 
   const ReconstructPlan plan = plan_reconstruction(nn::model_preset("tiny"), scene, mesh);
   CHECK(plan.mesh_bytes > 1e15);
   CHECK(plan.surface_bytes < 1e10);
+  CHECK(plan.memory_bytes == plan.mesh_bytes);
   CHECK_NOTHROW(check_memory(plan, scene));
+  mesh.max_memory = 1e10;
+  const ReconstructPlan limited = plan_reconstruction(nn::model_preset("tiny"), scene, mesh);
+  CHECK(limited.mesh_bytes == plan.mesh_bytes);
+  CHECK(limited.memory_bytes == plan.surface_bytes);
 }
 
 TEST_CASE("views of different places are refused") {

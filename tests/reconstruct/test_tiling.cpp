@@ -21,6 +21,13 @@ using namespace satsurf::reconstruct;
 
 namespace {
 
+/// What is asked for where the program may have so much memory.
+ReconstructOptions within(double bytes) {
+  ReconstructOptions options;
+  options.max_memory = bytes;
+  return options;
+}
+
 const float kNan = std::numeric_limits<float>::quiet_NaN();
 
 /// A village in files.
@@ -272,7 +279,7 @@ TEST_CASE("tiles lie as the images do where that saves pixels") {
     for (std::size_t i = 0; i < turned.views.size(); ++i)
       turned.user.scene.views[i].rpc = turned.views[i].rpc =
           straight_and_turned(survey.views[i].rpc, 700, height, degrees);
-    return plan_tiles(model, turned, {}, {}, bytes);
+    return plan_tiles(model, turned, within(bytes), {});
   };
   const Tiling plain = planned(0);
   for (const double degrees : {-25.0, 18.0}) {
@@ -301,7 +308,7 @@ TEST_CASE("tiles cover the ground once, and every window holds what its tile nee
   const scene::Survey survey = files.survey();
   const nn::ModelConfig model = nn::model_preset("tiny");
   const double least = 1e9;  // of windows far below 1280 px
-  Tiling tiling = plan_tiles(model, survey, {}, {}, least);
+  Tiling tiling = plan_tiles(model, survey, within(least), {});
   REQUIRE(tiling.window <= kWholeImage);
   // small windows, whatever the memory of the tiny network
   while (tiling.tiles.size() < 4 && tiling.window > 256) {
@@ -309,7 +316,7 @@ TEST_CASE("tiles cover the ground once, and every window holds what its tile nee
     double bytes = least;
     for (; bytes > 1e6 && window_for_memory(model, {3, 700}, Surface::splat, bytes) > fewer;)
       bytes *= 0.98;
-    tiling = plan_tiles(model, survey, {}, {}, bytes);
+    tiling = plan_tiles(model, survey, within(bytes), {});
     CHECK(tiling.memory_bytes < 1.5 * bytes + 4e8);
   }
   REQUIRE(tiling.tiles.size() >= 4);
@@ -343,7 +350,7 @@ TEST_CASE("tiles are as long and wide as takes the fewest pixels") {
   const nn::ModelConfig model = nn::model_preset("tiny");
   double bytes = 1e9;
   for (; window_for_memory(model, {3, 900}, Surface::splat, bytes) > 420;) bytes *= 0.98;
-  const Tiling tiling = plan_tiles(model, survey, {}, {}, bytes);
+  const Tiling tiling = plan_tiles(model, survey, within(bytes), {});
   REQUIRE(tiling.tiles.size() >= 4);
   std::array<double, 2> begin{INFINITY, INFINITY}, end{-INFINITY, -INFINITY};
   for (const Tile& tile : tiling.tiles)
@@ -394,7 +401,7 @@ TEST_CASE("a million tiles are refused before any is made") {
   options.resolution = 2e-4;  // m
   std::string message;
   try {
-    plan_tiles(nn::model_preset("tiny"), survey, options, {}, 0);
+    plan_tiles(nn::model_preset("tiny"), survey, options, {});
   } catch (const Error& e) {
     message = e.what();
   }
@@ -422,7 +429,7 @@ TEST_CASE("every tile has the best of the images that see it") {
   const scene::Survey all = scene::survey_views(files.images, {}, files.range, {},
                                                 {.pointing = {.measure = false}, .most_views = 2});
   REQUIRE(all.views.size() == 4);  // though no tile has more than two
-  const Tiling tiling = plan_tiles(nn::model_preset("tiny"), all, {}, {}, 0);
+  const Tiling tiling = plan_tiles(nn::model_preset("tiny"), all, {}, {});
   CHECK(tiling.views == 2);
   const scene::Polygon ground = scene::corners_of(tiling.grid.ground());
   const auto chosen = scene::views_of(all, ground, all.user.scene.z_range);
@@ -441,7 +448,7 @@ TEST_CASE("a tile whose heights take more than a window has several of them") {
   const nn::Model model(nn::model_preset("tiny"), 3);
   ReconstructOptions options;
   options.surface = Surface::plain, options.narrow = false;
-  Tiling tiling = plan_tiles(model.config(), survey, options, {}, 0);
+  Tiling tiling = plan_tiles(model.config(), survey, options, {});
   REQUIRE(tiling.tiles.size() == 1);
   const auto made_with = [&](Index window) {
     tiling.window = window;
@@ -477,16 +484,16 @@ TEST_CASE("only the ground that is wanted is made, on the cells of the whole") {
   const Files files(200);
   const scene::Survey survey = files.survey();
   const nn::ModelConfig model = nn::model_preset("tiny");
-  const Tiling whole = plan_tiles(model, survey, {}, {}, 0);
+  const Tiling whole = plan_tiles(model, survey, {}, {});
   const Ground ground = whole.grid.ground();
   const Ground wanted{ground.x0 + 0.3 * ground.width(), ground.y0 + 0.4 * ground.height(),
                       ground.x0 + 0.6 * ground.width(), ground.y0 + 0.6 * ground.height()};
-  const Tiling part = plan_tiles(model, survey, {}, wanted, 0);
+  const Tiling part = plan_tiles(model, survey, {}, wanted);
   CHECK(part.grid.step == whole.grid.step);
   const double columns = (part.grid.east - whole.grid.east) / whole.grid.step;
   CHECK(std::abs(columns - std::round(columns)) < 1e-6);
   CHECK(part.grid.ground().x0 <= wanted.x0);
   CHECK(part.grid.ground().x1 >= wanted.x1);
   CHECK(part.grid.ground().width() < wanted.width() + 2 * whole.grid.step);
-  CHECK_THROWS_AS(plan_tiles(model, survey, {}, Ground{1e5, 1e5, 1e5 + 10, 1e5 + 10}, 0), Error);
+  CHECK_THROWS_AS(plan_tiles(model, survey, {}, Ground{1e5, 1e5, 1e5 + 10, 1e5 + 10}), Error);
 }
