@@ -345,6 +345,11 @@ succeeds "going on with them" "${tiled[@]}" --out killed --resume --threads 1
 holds "to the same bytes" diff -r -x run.json -x report.html tiles killed
 holds "with a report that tells of the tiles" grep -q "Searched" killed/report.html
 holds "and nothing is left beside it" test -z "$(ls -d killed.* 2>/dev/null)"
+fine=("$satsurf" reconstruct large/Track3-RGB/*.tif --out fine --weights $weights --resolution 0.1 --pointing off --dry-run)
+succeeds "the plan of a surface of fine cells" "${fine[@]}"
+holds "it is made at once" grep -qE "^tiles +1, " stdout
+succeeds "the same with less memory" "${fine[@]}" --max-memory 400MB
+holds "it is made in tiles" grep -qE "^tiles +([2-9] x|[0-9]+ x [2-9])" stdout
 rm -rf tiles killed large
 
 succeeds "a coarse mesh" "$satsurf" reconstruct "${images[@]}" --out coarse --weights $weights --voxel 3 --report none --quiet
@@ -371,11 +376,6 @@ cp stderr failed.txt
 holds "the limit is named" grep -qE "^warning: no mesh: voxels of 0.01 m need .* GB, more than --max-memory; give a larger --voxel" failed.txt
 holds "and nothing else is missing" cmp out/dsm.tif failing/dsm.tif
 refuses "cells so fine that no tile of them fits" 2 "max_memory: .*, expected .* MB or more for 3 images and cells" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --resolution 0.015 --max-memory 500MB --quiet
-fine=("$satsurf" reconstruct large/Track3-RGB/*.tif --out fine --weights $weights --resolution 0.1 --pointing off --dry-run)
-succeeds "the plan of a surface of fine cells" "${fine[@]}"
-holds "it is made at once" grep -qE "^tiles +1, " stdout
-succeeds "the same with less memory" "${fine[@]}" --max-memory 400MB
-holds "it is made in tiles" grep -qE "^tiles +([2-9] x|[0-9]+ x [2-9])" stdout
 "$satsurf" reconstruct "${images[@]}" --out failing --overwrite --weights $weights --mesh none --min-coverage 1 --quiet >stdout 2>failed.txt
 holds "too few cells are a failure" test $? -eq 1
 holds "which says how many there are" grep -q "common ground has a height, expected 100.0 % by --min-coverage" failed.txt
