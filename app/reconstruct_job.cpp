@@ -270,7 +270,7 @@ void print_plan_time(const PlannedWork& work) {
   // Seconds of one thread, measured with the shipped weights on an AMD EPYC with AVX-512: for a
   // megapixel that the network sees, and for each image that it compares it with; for a million cells
   // and columns of voxels, their files included; and of the run for what is small.
-  constexpr double kMegapixel = 1.9, kInTiles = 0.9, kView = 0.68, kCells = 4, kColumns = 3;
+  constexpr double kMegapixel = 1.9, kInTiles = 0.3, kView = 0.68, kCells = 4, kColumns = 3;
   constexpr double kSmall = 0.6;
   const double megapixel = kMegapixel + (work.in_tiles ? kInTiles : 0) +
                            kView * static_cast<double>(work.views),
