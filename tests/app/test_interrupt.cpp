@@ -17,6 +17,13 @@ using namespace std::chrono_literals;
 
 namespace {
 
+// The thread sanitizer does not bear new threads in a child; tests/cli/run.sh stops the program itself.
+#ifdef __SANITIZE_THREAD__
+constexpr bool kForks = false;
+#else
+constexpr bool kForks = true;
+#endif
+
 /// Exit code of a process that is told to stop while it works on, deaf.
 /// guarded  whether an `EndsAtSignal` lives meanwhile
 /// asks     whether it asks for signals itself, each time it has worked for a tenth of a second
@@ -36,9 +43,10 @@ int exit_code(bool guarded, bool asks) {
     }
     std::_Exit(0);
   }
+  ::close(ready[1]);  // so that a child that dies ends the wait
   char byte = 0;
   REQUIRE(::read(ready[0], &byte, 1) == 1);
-  for (const int end : ready) ::close(end);
+  ::close(ready[0]);
   ::kill(child, SIGTERM);
   int status = 0;
   REQUIRE(::waitpid(child, &status, 0) == child);
@@ -47,7 +55,8 @@ int exit_code(bool guarded, bool asks) {
 
 }  // namespace
 
-TEST_CASE("work that asks for no signal is ended by one, but not by one that it asks for itself") {
+TEST_CASE("work that asks for no signal is ended by one, but not by one that it asks for itself" *
+          doctest::skip(!kForks)) {
   CHECK(exit_code(false, false) == 0);  // what would happen otherwise
   CHECK(exit_code(true, false) == 128 + SIGTERM);
   CHECK(exit_code(true, true) == 7);
