@@ -55,6 +55,14 @@ nn::PosedImage showing(const Tensor& ground, double west, float gain = 1, float 
   return image;
 }
 
+std::vector<nn::PosedImage> three_showing(const Tensor& ground) {
+  return {showing(ground, 0.4), showing(ground, -0.3), showing(ground, 0.1)};
+}
+/// What such images are called.
+std::vector<scene::View> three_views() {
+  return {test::view_from("a", 0.1), test::view_from("b", -0.1), test::view_from("c", 0)};
+}
+
 /// Covers the northern part of the ground with white.
 void cloud_over(nn::PosedImage& image, double share) {
   for (Index y = 0; y < kPixels; ++y)
@@ -120,11 +128,8 @@ TEST_CASE("images agree less on a surface that is wrong") {
 
 TEST_CASE("ground that only two of three images show") {
   const scene::HeightField field = plain_with_wall();
-  const Tensor ground = patches(1);
-  std::vector<nn::PosedImage> images{showing(ground, 0.4), showing(ground, -0.3),
-                                     showing(ground, 0.1)};
-  const std::vector<scene::View> views{test::view_from("a", 0.1), test::view_from("b", -0.1),
-                                       test::view_from("c", 0)};
+  std::vector<nn::PosedImage> images = three_showing(patches(1));
+  const std::vector<scene::View> views = three_views();
   // 160 m of ground to the images' 100: none lacks a cell, hidden or not
   CHECK(image_agreement(field, images).in_two == 0);
   for (Index y = 0; y < kPixels; ++y)
@@ -143,11 +148,8 @@ TEST_CASE("ground that only two of three images show") {
 
 TEST_CASE("an image with a cloud is warned of by its name") {
   const scene::HeightField field = plain_with_wall();
-  const Tensor ground = patches(1);
-  std::vector<nn::PosedImage> images{showing(ground, 0.4), showing(ground, -0.3),
-                                     showing(ground, 0.1)};
-  const std::vector<scene::View> views{test::view_from("a", 0.1), test::view_from("b", -0.1),
-                                       test::view_from("c", 0)};
+  std::vector<nn::PosedImage> images = three_showing(patches(1));
+  const std::vector<scene::View> views = three_views();
   CHECK(image_warnings(image_agreement(field, images), views).empty());
   cloud_over(images[1], 0.3);
   const auto warnings = image_warnings(image_agreement(field, images), views);
