@@ -53,11 +53,10 @@ void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene
   if (plan.mesh_bytes > std::min(plan.memory_bytes, static_cast<double>(available_memory())))
     std::printf("  mesh        %s, which it would not get: give a larger --voxel or --mesh none\n",
                 memory_text(plan.mesh_bytes).c_str());
-  const double area = static_cast<double>(plan.height) * static_cast<double>(plan.width);
   print_plan_time({.megapixels = plan.megapixels,
                    .views = static_cast<Index>(user.scene.views.size()),
-                   .cells = area,
-                   .columns = plan.voxel > 0 ? area * std::pow(plan.step / plan.voxel, 2) : 0,
+                   .cells = static_cast<double>(plan.height) * static_cast<double>(plan.width),
+                   .columns = plan.columns,
                    .so_far = job.record.seconds()});
 }
 

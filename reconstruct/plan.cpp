@@ -230,6 +230,7 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
                     static_cast<double>(size.views) * static_cast<double>(plan.middles.size());
   for (const scene::View& v : scene.views) size.pixels += static_cast<double>(v.valid.count());
   if (plan.voxel > 0) size.columns = size.cells * plan.step * plan.step / (plan.voxel * plan.voxel);
+  plan.columns = size.columns;
   WorkMemory memory = work_memory(model, size, surface_kind(options));
   plan.surface_bytes = memory.surface_bytes, plan.mesh_bytes = memory.mesh_bytes;
   const bool with_mesh = options.max_memory == 0 || plan.mesh_bytes <= options.max_memory;

@@ -97,6 +97,7 @@ struct ReconstructPlan {
   double step = 0;                             ///< its cell, m
   double voxel = 0;                            ///< of the mesh, m; 0 without one
   Index height = 0, width = 0;                 ///< its cells
+  double columns = 0;                          ///< of the mesh's voxels, 0 without one
   scene::WindowSize window;                    ///< of the network, px
   std::vector<Ground> tiles;                   ///< what each window answers for
   std::vector<std::array<double, 3>> middles;  ///< of each window, local m
