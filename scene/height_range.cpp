@@ -83,6 +83,7 @@ Tensor box_sum(const Tensor& t) {
 Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, double z) {
   const Index H = a.grey.dim(0), W = a.grey.dim(1), h = b.grey.dim(0), w = b.grey.dim(1);
   Tensor n({H, W}), sa({H, W}), sb({H, W}), saa({H, W}), sbb({H, W}), sab({H, W});
+  Index seen = 0;
   for (Index i = 0; i < H * W; ++i) {
     if (a.valid[i] < 1) continue;
     const auto q = b_from_a(static_cast<double>(i % W), static_cast<double>(i / W), z);
@@ -90,6 +91,7 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
     if (x < 0 || y < 0 || x + 1 >= w || y + 1 >= h || b.valid[y * w + x] < 1) continue;
     const float fx = static_cast<float>(q[0]) - static_cast<float>(x),
                 fy = static_cast<float>(q[1]) - static_cast<float>(y);
+    ++seen;
     const float* p = b.grey.data() + y * w + x;
     const float vb = (1 - fy) * ((1 - fx) * p[0] + fx * p[1]) +
                      fy * ((1 - fx) * p[w] + fx * p[w + 1]),
@@ -101,9 +103,11 @@ Tensor correlation(const Coarse& a, const Coarse& b, const Quadratic& b_from_a, 
     sbb[i] = vb * vb;
     sab[i] = va * vb;
   }
+  Tensor out({H, W}, -1.f);
+  // Wide ranges move images apart at most of their heights.
+  if (static_cast<float>(seen) < kWhole) return out;
   n = box_sum(n), sa = box_sum(sa), sb = box_sum(sb), saa = box_sum(saa), sbb = box_sum(sbb),
   sab = box_sum(sab);
-  Tensor out({H, W}, -1.f);
   for (Index i = 0; i < H * W; ++i) {
     if (n[i] < kWhole) continue;
     const float ma = sa[i] / n[i], mb = sb[i] / n[i], va = saa[i] / n[i] - ma * ma,

@@ -127,6 +127,8 @@ void tiles_and_changes() {
   changes("scene", 4, "three_");
   changes("scene", 1, "searched_");
   changes("scene", 16, "pointed_");
+  // at nearly all heights that are searched the first image lies beside the others
+  put("scene", "searched_apart", '\5' + change(73, 0, 0));
   put("cameras", "dates",
       "\x10"
       "2015-09-30T10:56:56Z 20160215 " +
