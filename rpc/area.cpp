@@ -210,7 +210,7 @@ DatasetPtr open_vector(const fs::path& path) {
   const unsigned flags = GDAL_OF_VECTOR | GDAL_OF_READONLY | GDAL_OF_VERBOSE_ERROR;
   DatasetPtr d(GDALDataset::FromHandle(
       GDALOpenEx(path.string().c_str(), flags, list.data(), options, nullptr)));
-  check_requests(path);
+  check_refused(path);
   if (d) return d;
   const std::string why = gdal_error();
   if (package && why.find("integer overflow") != std::string::npos)
@@ -292,7 +292,7 @@ Area read_area(const fs::path& path, const UtmZone& zone, const std::function<vo
   wanted.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
   Area area;
   const auto all = polygons_of(path, *d, wanted, poll);
-  check_requests(path);
+  check_refused(path);
   if (all) add_rings(area, *all);
   if (area.rings.empty())
     throw IoError(path.string() + ": no polygon, expected at least one around the ground");

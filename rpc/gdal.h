@@ -26,7 +26,7 @@ namespace satsurf::rpc {
 
 /// While one lives, this thread's GDAL prints nothing, keeps its last error for gdal_error(), and
 /// neither reads nor leaves .aux.xml files; whatever a file names, it asks nothing of a network and
-/// opens no pipe and no device. What the caller had set is restored.
+/// opens no pipe, no device and nothing that `claim_of` refuses. What the caller had set is restored.
 class GdalScope {
  public:
   GdalScope();
@@ -38,10 +38,21 @@ class GdalScope {
   std::vector<std::pair<const char*, std::optional<std::string>>> before_;  ///< options
 };
 
-/// Refuses a file for which GDAL would have asked a network, in this thread's outermost GdalScope.
+/// Refuses a file for which GDAL would have asked a network or believed a false claim, in this thread's
+/// outermost GdalScope.
 /// path    of the file that is read
 /// throws  IoError
-void check_requests(const std::filesystem::path& path);
+void check_refused(const std::filesystem::path& path);
+
+/// What a file says of itself for which GDAL takes memory before it sees whether that can be true.
+struct FileClaim {
+  std::string refusal;  ///< what is wrong with it, if anything is
+  std::optional<Index>
+      threads;  ///< how many may decode it at once, where each takes memory of its own
+};
+/// Looks at entries of HFA, tiles of JPEG 2000 and the size of a BMP.
+/// name  of a file on this machine, of any format
+FileClaim claim_of(const std::string& name);
 
 /// Registers the drivers for what is read and written here and no others; once.
 void register_drivers();
@@ -85,8 +96,8 @@ DatasetPtr open_raster(const std::filesystem::path& path);
 void check_format(const std::filesystem::path& path);
 
 /// Refuses a raster whose pixels cannot be in its file: one of some hundred bytes may claim any
-/// size, or blocks larger than itself, which are read whole. Up to 16 MiB are never refused, nor up to
-/// 20000 bytes for each of the file.
+/// size, or blocks larger than the image, which are read whole. Up to 16 MiB are never refused, nor up to
+/// 20000 bytes for each of the file, or 64 MB and 20 for each where blocks are larger than the image.
 /// throws  IoError
 void check_content(const std::filesystem::path& path, GDALDataset& d);
 /// Refuses what the memory cannot hold: some systems promise any amount.

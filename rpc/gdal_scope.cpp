@@ -6,6 +6,7 @@
 #include "satsurf/rpc/gdal.h"
 
 #include <cerrno>
+#include <cstdlib>
 #include <string>
 #include <utility>
 
@@ -16,24 +17,47 @@
 namespace satsurf::rpc {
 namespace {
 
-thread_local int scopes = 0;           ///< alive in this thread
-thread_local std::string refused_url;  ///< the first that was asked for in them
+/// The first thing that was asked for and refused.
+struct Refused {
+  std::string file;  ///< which said what it may not, if it was one
+  std::string why;   ///< empty if all was well
+};
+thread_local int scopes = 0;   ///< alive in this thread
+thread_local Refused refused;  ///< in them
 
 constexpr const char* kPam = "GDAL_PAM_ENABLED";
 /// The one remote file that may be opened.
 constexpr const char* kRemote = "CPL_VSIL_CURL_ALLOWED_FILENAME";
 constexpr const char* kStdin = "CPL_ALLOW_VSISTDIN";
+constexpr const char* kThreads = "GDAL_NUM_THREADS";
 
 /// Stands for GDAL's requests of HTTP and FTP.
 CPLHTTPResult* refuse_request(const char* url, CSLConstList, GDALProgressFunc, void*,
                               CPLHTTPFetchWriteFunc, void*, void*) {
-  if (refused_url.empty()) refused_url = url;
+  if (refused.why.empty())
+    refused = {"", "names " + std::string(url).substr(0, 200) + ", expected files on this machine"};
   const std::string text = std::string(url) + ": nothing is asked of a network";
   CPLError(CE_Failure, CPLE_HttpResponse, "%s", text.c_str());
   auto* result = static_cast<CPLHTTPResult*>(CPLCalloc(1, sizeof(CPLHTTPResult)));
   result->nStatus = 1;  // any of curl's failures
   result->pszErrBuf = CPLStrdup(text.c_str());
   return result;
+}
+
+/// Whether a file's claims allow it to be opened in a GdalScope, where fewer threads than the machine has
+/// may read it.
+bool may_open(const std::string& name) {
+  const FileClaim claim = claim_of(name);
+  if (!claim.refusal.empty()) {
+    if (refused.why.empty()) refused = {name, claim.refusal};
+    return false;
+  }
+  if (!claim.threads) return true;
+  const char* set = CPLGetConfigOption(kThreads, nullptr);
+  const Index now = set != nullptr && !EQUAL(set, "ALL_CPUS") ? std::atoi(set) : CPLGetNumCPUs();
+  if (*claim.threads < now)
+    CPLSetThreadLocalConfigOption(kThreads, std::to_string(*claim.threads).c_str());
+  return true;
 }
 
 /// The file system, less what is no file: a pipe would wait for a writer, a device may never end.
@@ -48,6 +72,11 @@ class OnlyFiles : public VSIFilesystemHandler {
     if (scopes > 0 && ::stat(name, &found) == 0 && !S_ISREG(found.st_mode) &&
         !S_ISDIR(found.st_mode)) {
       CPLError(CE_Failure, CPLE_OpenFailed, "%s: a pipe, socket or device, expected a file", name);
+      errno = EINVAL;
+      return nullptr;
+    }
+    if (scopes > 0 && access[0] == 'r' && !may_open(name)) {
+      CPLError(CE_Failure, CPLE_OpenFailed, "%s: %s", name, refused.why.c_str());
       errno = EINVAL;
       return nullptr;
     }
@@ -87,13 +116,14 @@ void prepare_gdal() {
 
 GdalScope::GdalScope() {
   prepare_gdal();
-  for (const auto& [name, value] : {std::pair{kPam, "NO"}, {kRemote, "none"}, {kStdin, "NO"}}) {
+  for (const auto& [name, value] :
+       {std::pair{kPam, "NO"}, {kRemote, "none"}, {kStdin, "NO"}, {kThreads, nullptr}}) {
     const char* old = CPLGetThreadLocalConfigOption(name, nullptr);
     before_.emplace_back(name, old ? std::optional<std::string>(old) : std::nullopt);
-    CPLSetThreadLocalConfigOption(name, value);
+    if (value != nullptr) CPLSetThreadLocalConfigOption(name, value);
   }
   CPLHTTPPushFetchCallback(refuse_request, nullptr);
-  if (scopes++ == 0) refused_url.clear();
+  if (scopes++ == 0) refused = {};
   CPLPushErrorHandler(CPLQuietErrorHandler);
   CPLErrorReset();
 }
@@ -106,11 +136,13 @@ GdalScope::~GdalScope() {
     CPLSetThreadLocalConfigOption(name, value ? value->c_str() : nullptr);
 }
 
-void check_requests(const std::filesystem::path& path) {
-  if (refused_url.empty()) return;
-  const std::string url = std::exchange(refused_url, {});
-  throw IoError(path.string() + ": names " + url.substr(0, 200) +
-                ", expected files on this machine");
+void check_refused(const std::filesystem::path& path) {
+  if (refused.why.empty()) return;
+  const Refused what = std::exchange(refused, {});
+  const bool itself = what.file.empty() || what.file == path.string();
+  throw IoError(path.string() + ": " +
+                (itself ? "" : "\"" + what.file.substr(0, 200) + "\", which belongs to it: ") +
+                what.why);
 }
 
 }  // namespace satsurf::rpc

@@ -60,7 +60,7 @@ DatasetPtr open_raster(const fs::path& path) {
   const unsigned flags = GDAL_OF_RASTER | GDAL_OF_READONLY | GDAL_OF_VERBOSE_ERROR;
   DatasetPtr d(GDALDataset::FromHandle(GDALOpenEx(name.c_str(), flags, list.data(), nullptr,
                                                   beside.empty() ? nullptr : siblings.data())));
-  check_requests(path);
+  check_refused(path);
   if (!d)
     throw IoError(name + ": not a raster that can be read, expected GeoTIFF, NITF or alike; " +
                   gdal_error());
@@ -74,8 +74,9 @@ DatasetPtr open_raster(const fs::path& path) {
 void check_content(const fs::path& path, GDALDataset& d) {
   // DEFLATE packs 1000 equal bytes into one. ZSTD and LZMA make some 50 bytes of a tile of 1 MiB of
   // them, whose place in the file takes 16 more; sparse files leave out whole tiles. What needs little
-  // memory is not worth a refusal.
+  // memory is not worth a refusal. Blocks larger than the image hold nothing in what is larger.
   constexpr double kMostPacked = 20'000, kLittle = 16.0 * (1 << 20);
+  constexpr double kMostRim = 64e6, kRimPacked = 20;
   double pixels = 0;  // bytes as they are stored, before packing
   for (int b = 1; b <= d.GetRasterCount(); ++b)
     pixels += GDALGetDataTypeSizeBytes(d.GetRasterBand(b)->GetRasterDataType());
@@ -90,12 +91,17 @@ void check_content(const fs::path& path, GDALDataset& d) {
     if (!error) stored += static_cast<double>(size);
   }
   CSLDestroy(files);
-  if (bytes <= kMostPacked * stored) return;
+  const double most = block > pixels ? kMostRim + kRimPacked * stored : kMostPacked * stored;
+  if (bytes <= most) return;
   std::ostringstream text;
   text << path.string() << ": " << size_text(d) << (block > pixels ? " in blocks of " : ", ")
        << memory_text(bytes) << ", in a file of " << static_cast<long long>(stored)
-       << " bytes, expected at least a byte for every " << static_cast<int>(kMostPacked)
-       << "; empty or damaged?";
+       << " bytes, expected ";
+  if (block > pixels)
+    text << "at most " << memory_text(most);
+  else
+    text << "at least a byte for every " << static_cast<int>(kMostPacked);
+  text << "; empty or damaged?";
   throw IoError(text.str());
 }
 

@@ -161,7 +161,7 @@ Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info, const P
                   gdal_error());
 
   const auto mask = file_mask(path, d, bands, part);
-  check_requests(path);
+  check_refused(path);
   image.valid = Tensor::uninitialised({H, W});
   const Index count = ordered_reduce<Index>(N, Index{1} << 16, 0, [&](Index begin, Index end) {
     Index valid = 0;

@@ -321,16 +321,24 @@ TEST_CASE("rasters that their files cannot hold are refused before they take mem
   CHECK(sparse(8100).starts_with(p + ": 8100 x 8100 px of 1 band, "));
   CHECK(test::error_of<IoError>([&] { rpc::read_image(p); }).ends_with("empty or damaged?"));
 
-  // Few pixels in blocks that are not few: GDAL reads a block whole, here a gigabyte.
+  // Few pixels in blocks that are not few: GDAL reads a block whole.
   auto* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
-  const char* options[] = {"SPARSE_OK=TRUE",  "TILED=YES",        "BLOCKXSIZE=4096",
-                           "BLOCKYSIZE=4096", "INTERLEAVE=PIXEL", nullptr};
-  delete driver->Create(p.c_str(), 8, 8, 16, GDT_Float32, const_cast<char**>(options));
-  REQUIRE(std::filesystem::file_size(p) < 4096);
-  const std::string blocks = test::error_of<IoError>([&] { rpc::read_image(p); });
+  const auto in_blocks = [&](int side, int bands) {
+    const std::string width = "BLOCKXSIZE=" + std::to_string(side),
+                      height = "BLOCKYSIZE=" + std::to_string(side);
+    const char* options[] = {"SPARSE_OK=TRUE", "TILED=YES",        width.c_str(),
+                             height.c_str(),   "INTERLEAVE=PIXEL", nullptr};
+    delete driver->Create(p.c_str(), 8, 8, bands, GDT_Float32, const_cast<char**>(options));
+    REQUIRE(std::filesystem::file_size(p) < 4096);
+    return test::error_of<IoError>([&] { rpc::read_image(p); });
+  };
+  CHECK(in_blocks(2048, 3) == "no exception");  // 50 MB
+  const std::string blocks = in_blocks(4096, 16);
   CAPTURE(blocks);
   CHECK(blocks.starts_with(p + ": 8 x 8 px of 16 bands in blocks of 1"));
-  CHECK(blocks.ends_with("empty or damaged?"));
+  CHECK(blocks.ends_with("expected at most 64 MB; empty or damaged?"));
+  CHECK(
+      in_blocks(4096, 1).starts_with(p + ": 8 x 8 px of 1 band in blocks of 67 MB, in a file of "));
 }
 
 TEST_CASE("the contest's layout: a bare raster and its grid in a text file") {
