@@ -4,6 +4,11 @@
 them on the same held-out scenes and writes the table.
 
   bench/experiment.py OUT [--steps 1000] [--seeds 1 2] [--only REGEX] [--lpips FILE] [--satsurf PROGRAM]
+                      [--init FILE --preset NAME]
+
+With --init all begin with one trained network, less what its modules have learned (fusion and guidance), so that each
+variant makes its own from nothing: OUT/begin.safetensors. Of the variants those that are built like it are left: the
+whole method and what lacks some of its modules.
 
 Goes on where it stopped: whatever OUT already holds is not made again, and a stopped training goes on from its last
 checkpoint. OUT/experiment.json is the configuration; another one needs another OUT. Beside each score
@@ -59,6 +64,12 @@ VARIANTS = {
     'hisplat_like': ['--preset', 'hisplat_like'],
     'skysplat_like': ['--preset', 'skysplat_like'],
 }
+
+# The preset of the whole method, in whose place --preset puts another.
+METHOD = 'base8'
+
+# Parameters of the modules, which --init leaves out. Routing has none.
+OF_MODULES = re.compile(r'\.(fusion|guidance)\.')
 
 # What takes a module out.
 SWITCHES = {'fusion': ('--model.fusion', 'none'), 'guidance': ('--model.guidance', 'none'),
@@ -181,6 +192,28 @@ def differences(before, wanted):
     before, wanted = flat(before), flat(wanted)
     text = [f'{k} is {before[k]!r}, wanted {wanted[k]!r}' for k in wanted if k in before and before[k] != wanted[k]]
     return '; '.join(text)
+
+
+def without_modules(weights):
+    """The bytes of a network's file without the modules' parameters, and without what else is no part of the cascade."""
+    with open(weights, 'rb') as f:
+        try:
+            size, = struct.unpack('<Q', f.read(8))
+            header, data = json.loads(f.read(size)), f.read()
+            about = header.pop('__metadata__', {})
+            kept = {k: v for k, v in header.items() if k.startswith('model.') and not OF_MODULES.search(k)}
+            parts = [data[slice(*v['data_offsets'])] for v in kept.values()]
+        except (struct.error, ValueError, KeyError, TypeError, AttributeError) as e:
+            raise RuntimeError(f'{weights}: not a network ({e!r})') from None
+    if not kept:
+        raise RuntimeError(f'{weights}: no parameters of a cascade, expected a trained network')
+    begin = 0
+    for entry, part in zip(kept.values(), parts):
+        entry['data_offsets'] = [begin, begin + len(part)]
+        begin += len(part)
+    text = json.dumps({'__metadata__': {k: about[k] for k in ('format', 'model') if k in about}} | kept).encode()
+    text += b' ' * (-len(text) % 8)  # tensors begin at a whole word
+    return struct.pack('<Q', len(text)) + text + b''.join(parts)
 
 
 # --- verdicts --------------------------------------------------------------------------------------------------------
@@ -404,6 +437,8 @@ class Experiment:
         self.asked, self.out, self.satsurf = arguments, arguments.out, arguments.satsurf
         self.config = {k: getattr(arguments, k) for k in ('steps', 'crop', 'scenes', 'heldout', 'pixels')}
         self.config |= {k: identity(getattr(arguments, k)) for k in ('mono', 'lpips')} | DATA_SEEDS
+        if arguments.init:  # which has a monocular branch
+            self.config |= {'mono': '', 'init': identity(arguments.init), 'preset': arguments.preset}
         self.programs = Programs()
         self.threads = ['--threads', str(max(1, CORES // arguments.jobs))]
         self.made_by = {'program': output_of([self.satsurf, '--version']), 'binary': identity(self.satsurf)}
@@ -421,12 +456,18 @@ class Experiment:
                 raise RuntimeError(f'{recorded} is of another experiment: {told}; give another OUT')
         for folder in ('scores', 'runs'):
             os.makedirs(self.path(folder), exist_ok=True)
+        begin = self.path('begin.safetensors')
+        if self.asked.init and not os.path.exists(begin):
+            with open(begin + '.part', 'wb') as f:
+                f.write(without_modules(self.asked.init))
+            os.replace(begin + '.part', begin)
         if not os.path.exists(recorded):
             write(recorded, json.dumps(self.config, indent=2) + '\n')
 
     def arguments_of(self, variant):
         """Of train, without files and folders."""
-        return [*VARIANTS[variant], '--steps', str(self.config['steps']), '--crop', str(self.config['crop'])]
+        words = [self.config.get('preset', word) if word == METHOD else word for word in VARIANTS[variant]]
+        return [*words, '--steps', str(self.config['steps']), '--crop', str(self.config['crop'])]
 
     def settings_of(self, variant, seed):
         """What a training depends on, beside what experiment.json says."""
@@ -491,7 +532,8 @@ class Experiment:
             lpips = ['--lpips_weights', self.asked.lpips] if self.asked.lpips else []
             self.programs.run([self.satsurf, 'train', '--out', folder, *self.arguments_of(variant),
                                '--data', self.path('train'), '--seed', str(seed),
-                               '--mono_weights', self.asked.mono, *lpips, *self.threads,
+                               *(['--init', self.path('begin.safetensors')] if self.asked.init else
+                                 ['--mono_weights', self.asked.mono]), *lpips, *self.threads,
                                '--resume' if begun else '--overwrite'], log)
             trained = read_training(weights)
         self.check(folder, trained, variant, seed)
@@ -563,6 +605,8 @@ def parse(words):
     parser.add_argument('--pixels', type=positive, default=384, help='rows and columns of the images')
     parser.add_argument('--mono', default=os.path.join(root, 'nn/weights/mono12.safetensors'),
                         help='weights of the monocular branch')
+    parser.add_argument('--init', default='', help='trained network that all begin with, less its modules')
+    parser.add_argument('--preset', default=METHOD, help='that a network for --init is built by')
     parser.add_argument('--seeds', type=int, nargs='+', default=[1, 2])
     parser.add_argument('--lpips', default='', help='LPIPS weights, for the loss and the score; neither without')
     parser.add_argument('--only', default='', help='variants whose name this regular expression finds')
@@ -570,11 +614,14 @@ def parse(words):
     arguments = parser.parse_args(words)
     if not os.path.isfile(arguments.satsurf) or not os.access(arguments.satsurf, os.X_OK):
         raise RuntimeError(f'no program {arguments.satsurf}; build satsurf or name it with --satsurf')
-    for flag, file in (('--mono', arguments.mono), ('--lpips', arguments.lpips)):
-        if not os.path.isfile(file) and not (flag == '--lpips' and not file):
+    if arguments.preset != METHOD and not arguments.init:
+        raise RuntimeError('--preset: needs --init')
+    for flag, file in (('--mono', arguments.mono), ('--lpips', arguments.lpips), ('--init', arguments.init)):
+        if not os.path.isfile(file) and not (flag != '--mono' and not file):
             raise RuntimeError(f'{flag}: no file {file!r}')
     try:
-        variants = [v for v in VARIANTS if re.search(arguments.only, v)]
+        variants = [v for v, words in VARIANTS.items()
+                    if re.search(arguments.only, v) and (not arguments.init or METHOD in words)]
     except re.error as e:
         raise RuntimeError(f'--only: {arguments.only!r} is no regular expression ({e})') from None
     if not variants:

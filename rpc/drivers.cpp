@@ -15,10 +15,11 @@
 namespace satsurf::rpc {
 namespace {
 
-/// For the formats that images and surface models come in; see rpc/drivers.h.
+/// For the formats that images and surface models come in; see rpc/drivers.h. HFA is none of them: its
+/// driver takes whatever memory a file says that an entry or a packed block needs.
 constexpr const char* kRaster[] = {"GTiff", "NITF", "JP2OpenJPEG", "JP2KAK", "JP2ECW",
                                    "DIMAP", "VRT",  "PNG",         "JPEG",   "BMP",
-                                   "HFA",   "ENVI", "EHdr",        "PCIDSK", "AAIGrid"};
+                                   "ENVI",  "EHdr", "PCIDSK",      "AAIGrid"};
 /// For polygons. GML is none of them: to open one may fetch its schema, and writes a file beside it.
 constexpr const char* kVector[] = {"GeoJSON", "GPKG", "ESRI Shapefile",
                                    "LIBKML",  "KML",  "FlatGeobuf"};

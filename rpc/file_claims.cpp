@@ -10,7 +10,6 @@
 #include <cstdint>
 #include <fstream>
 #include <iomanip>
-#include <set>
 #include <sstream>
 
 namespace satsurf::rpc {
@@ -49,34 +48,6 @@ double big_endian(const std::array<std::uint8_t, N>& bytes, std::size_t at, std:
   double value = 0;
   for (std::size_t k = 0; k < size; ++k) value = 256 * value + bytes[at + k];
   return value;
-}
-
-/// HFA is a tree of entries, each of which says where its data lies and how long it is; GDAL makes room
-/// for all of it and reads what there is.
-/// returns  what is wrong, or nothing
-std::string false_entry(Bytes& file) {
-  constexpr std::size_t kMostEntries = 100'000;
-  std::array<std::uint8_t, 4> start{};
-  std::array<std::uint8_t, 12> header{};
-  if (!file.read(16, start) || !file.read(little_endian(start, 0), header)) return "";
-  std::set<double> seen;
-  std::vector<double> open{little_endian(header, 8)};  // where entries begin
-  while (!open.empty()) {
-    const double at = open.back();
-    open.pop_back();
-    std::array<std::uint8_t, 24> entry{};
-    if (at == 0 || !file.read(at, entry) || !seen.insert(at).second) continue;
-    std::ostringstream text;
-    if (const double bytes = little_endian(entry, 20); bytes > file.size())
-      text << "an entry of " << memory_text(bytes) << " in a file of "
-           << static_cast<long long>(file.size()) << " bytes; damaged?";
-    else if (seen.size() > kMostEntries)
-      text << "more than " << kMostEntries << " entries; damaged?";
-    if (!text.str().empty()) return text.str();
-    open.push_back(little_endian(entry, 0));   // the next one
-    open.push_back(little_endian(entry, 12));  // the first of those below
-  }
-  return "";
 }
 
 /// Of a packed BMP GDAL makes room for all pixels as soon as it is opened.
@@ -147,8 +118,6 @@ FileClaim claim_of_tiles(Bytes& file) {
 }  // namespace
 
 FileClaim claim_of(const std::string& name) {
-  constexpr std::array<std::uint8_t, 15> kHfa{'E', 'H', 'F', 'A', '_', 'H', 'E', 'A',
-                                              'D', 'E', 'R', '_', 'T', 'A', 'G'};
   constexpr std::array<std::uint8_t, 12> kBoxes{0,   0,   0,    12,   'j',  'P',
                                                 ' ', ' ', 0x0d, 0x0a, 0x87, 0x0a};
   constexpr std::array<std::uint8_t, 4> kCodeStream{0xff, 0x4f, 0xff, 0x51};
@@ -158,7 +127,6 @@ FileClaim claim_of(const std::string& name) {
     std::array<std::uint8_t, N> start{};
     return file.read(0, start) && start == with;
   };
-  if (begins(kHfa)) return {false_entry(file), {}};
   if (begins(kBmp)) return {false_size(file), {}};
   if (begins(kBoxes) || begins(kCodeStream)) return claim_of_tiles(file);
   return {};

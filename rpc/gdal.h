@@ -50,7 +50,7 @@ struct FileClaim {
   std::optional<Index>
       threads;  ///< how many may decode it at once, where each takes memory of its own
 };
-/// Looks at entries of HFA, tiles of JPEG 2000 and the size of a BMP.
+/// Looks at the tiles of a JPEG 2000 and the size of a BMP.
 /// name  of a file on this machine, of any format
 FileClaim claim_of(const std::string& name);
 

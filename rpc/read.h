@@ -50,7 +50,7 @@ struct PixelWindow {
   Index x0 = 0, y0 = 0, width = 0, height = 0;
 };
 
-/// An image in a regular file: GeoTIFF, NITF, JPEG 2000, DIMAP, PNG, JPEG, BMP, HFA, ENVI, EHdr,
+/// An image in a regular file: GeoTIFF, NITF, JPEG 2000, DIMAP, PNG, JPEG, BMP, ENVI, EHdr,
 /// PCIDSK, AAIGrid, what `trust_drivers` names (rpc/drivers.h), or a VRT of such files. Nothing is
 /// read over a network. The camera may sit in the file (TIFF tag, NITF RPC00B) or beside it
 /// (NAME.RPB, NAME.XML, NAME_RPC.TXT, NAME.rpc, NAME.tif.aux.xml; RPC_NAME.XML beside IMG_NAME).

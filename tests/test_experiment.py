@@ -343,6 +343,32 @@ class Script(Folder):
         self.assertEqual(self.runs(), self.table())
         self.assertEqual(self.calls(), made)
 
+    def test_all_begin_with_one_network(self):
+        data = b''.join(struct.pack('<4e', *[k] * 4) for k in range(4))
+        names = ['model.stage2.fusion.a', 'model.stage2.cost.b', 'surface.c', 'model.stage3.guidance.d']
+        header = {'__metadata__': {'format': 'satsurf-1', 'model': '{}', 'step': '9'}}
+        header |= {n: {'dtype': 'F16', 'shape': [4], 'data_offsets': [8 * k, 8 * k + 8]} for k, n in enumerate(names)}
+        text = json.dumps(header).encode()
+        init = os.path.join(self.here, 'trained.safetensors')
+        with open(init, 'wb') as f:
+            f.write(struct.pack('<Q', len(text)) + text + data)
+        self.runs('--init', init, '--preset', 'wide8', '--only', '^(full|no fusion|paper)$')
+        with open(os.path.join(self.out, 'begin.safetensors'), 'rb') as f:
+            size, = struct.unpack('<Q', f.read(8))
+            kept, left = json.loads(f.read(size)), f.read()
+        self.assertEqual(kept, {'__metadata__': {'format': 'satsurf-1', 'model': '{}'},
+                                'model.stage2.cost.b': {'dtype': 'F16', 'shape': [4], 'data_offsets': [0, 8]}})
+        self.assertEqual((size % 8, left), (0, data[8:16]))
+        trainings = self.calls('train')
+        self.assertEqual(len(trainings), 4)  # paper is built otherwise
+        for call in trainings:
+            self.assertIn('--preset wide8 ', call)
+            self.assertIn(f'--init {self.out}/begin.safetensors', call)
+            self.assertNotIn('--mono_weights', call)
+        config = self.json('experiment.json')
+        self.assertEqual((config['preset'], config['mono']), ('wide8', ''))
+        self.assertRegex(config['init'], r'^trained\.safetensors sha256:')
+
     def test_only_keeps_other_rows(self):
         self.runs('--seeds', '1')
         self.runs('--only', '^full$', '--seeds', '2')

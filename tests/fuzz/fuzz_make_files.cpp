@@ -128,7 +128,7 @@ void rasters() {
   GDALAllRegister();
   const auto source = folder().path() / "i.tif";
   GDALDataset* d = static_cast<GDALDataset*>(GDALOpen(source.c_str(), GA_ReadOnly));
-  for (const char* format : {"PNG", "JPEG", "BMP", "NITF", "HFA", "PCIDSK", "JP2OpenJPEG"}) {
+  for (const char* format : {"PNG", "JPEG", "BMP", "NITF", "PCIDSK", "JP2OpenJPEG"}) {
     auto* driver = GetGDALDriverManager()->GetDriverByName(format);
     if (d == nullptr || driver == nullptr) continue;
     const auto copy = folder().path() / (std::string("copy.") + format);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What HFA, JPEG 2000 and BMP files say of themselves, which GDAL would take memory for.
+// What JPEG 2000 and BMP files say of themselves, which GDAL would take memory for.
 #include "satsurf/core/error.h"
 #include "satsurf/rpc/gdal.h"
 #include "satsurf/rpc/read.h"
@@ -55,12 +55,6 @@ void plain_raster(const char* format, const std::filesystem::path& path) {
   const DatasetPtr made(
       driver->CreateCopy(path.c_str(), from.get(), false, nullptr, nullptr, nullptr));
   REQUIRE(made);
-}
-
-std::uint32_t little_endian(const std::string& bytes, std::size_t at) {
-  std::uint32_t value = 0;
-  for (std::size_t k = 4; k-- > 0;) value = value << 8 | static_cast<std::uint8_t>(bytes[at + k]);
-  return value;
 }
 
 }  // namespace
@@ -125,35 +119,6 @@ TEST_CASE("a whole JPEG 2000 file is read with as many threads as there are") {
   plain_raster("JP2OpenJPEG", folder / "a.jp2");
   CHECK(read_image(folder / "a.jp2").pixels.dim(2) == 8);
   CHECK(claim_of((folder / "a.jp2").string()).threads > 1000);
-}
-
-TEST_CASE("entries of HFA are no larger than their file") {
-  const TempFolder folder("entries");
-  const std::string path = (folder / "a.img").string();
-  plain_raster("HFA", path);
-  CHECK(read_image(path).pixels.dim(2) == 8);
-  CHECK(claim_of(path).refusal.empty());
-  std::string bytes = test::read_bytes(path);
-  const auto size = [&](std::size_t entry) { return entry + 20; };
-  const std::size_t root = little_endian(bytes, little_endian(bytes, 16) + 8),
-                    child = little_endian(bytes, root + 12), next = little_endian(bytes, child);
-  REQUIRE((root != 0 && child != 0 && next != 0));
-  for (const std::size_t entry : {root, child, next}) {
-    CAPTURE(entry);
-    std::string lie = bytes;
-    lie.replace(size(entry), 4, std::string("\0\0\0\x43", 4));
-    write_bytes(path, lie);
-    CHECK(error_of<IoError>([&] { read_info(path); }) ==
-          path + ": an entry of 1.1 GB in a file of " + std::to_string(bytes.size()) +
-              " bytes; damaged?");
-  }
-  // a ring of entries ends, and so does a file that is cut off
-  std::string ring = bytes;
-  ring.replace(next, 4, bytes, root + 12, 4);
-  write_bytes(path, ring);
-  CHECK(claim_of(path).refusal.empty());
-  write_bytes(path, bytes.substr(0, root + 10));
-  CHECK(claim_of(path).refusal.empty());
 }
 
 TEST_CASE("a BMP has as many pixels as its file can hold") {

@@ -357,6 +357,12 @@ TEST_CASE("numbers that no camera has are refused") {
 TEST_CASE("rasters are opened by known drivers, and nothing is asked of a network") {
   const TempFolder folder("drivers");
   const std::string ppm = (folder / "a.pgm").string(), vrt = (folder / "a.vrt").string();
+  const std::string img = (folder / "a.img").string();
+  write_bytes(img, "EHFA_HEADER_TAG" + std::string(100, '\0'));
+  CHECK(error_of<IoError>([&] { read_info(img); }) ==
+        img +
+            ": of the format HFA, expected GeoTIFF, NITF or alike; SATSURF_GDAL_DRIVERS=HFA in the "
+            "environment allows it");
   write_bytes(ppm, "P5 2 2 255\nabcd");
   CHECK(error_of<IoError>([&] { read_info(ppm); }) ==
         ppm +
