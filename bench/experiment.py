@@ -110,11 +110,11 @@ PRINTING = threading.Lock()
 
 
 # --- files -----------------------------------------------------------------------------------------------------------
-def write(path, text):
-    """Writes a file, whole or not at all."""
+def write(path, content):
+    """Writes a file of text or bytes, whole or not at all."""
     part = f'{path}.{os.getpid()}.part'
-    with open(part, 'w', encoding='utf-8') as f:
-        f.write(text)
+    with open(part, 'wb') as f:
+        f.write(content if isinstance(content, bytes) else content.encode())
     os.replace(part, path)
 
 
@@ -163,12 +163,17 @@ def read_scores(path):
     return mean, scenes
 
 
+def read_header(f):
+    """What a file of tensors, open for reading, says of them; its data follow."""
+    size, = struct.unpack('<Q', f.read(8))
+    return json.loads(f.read(size))
+
+
 def read_training(weights):
     """What a network's file says of its training; nothing if there is no such file or it says nothing."""
     try:
         with open(weights, 'rb') as f:
-            size, = struct.unpack('<Q', f.read(8))
-            said = json.loads(f.read(size))['__metadata__']
+            said = read_header(f)['__metadata__']
         return {'trained_by': f'satsurf {said["version"]} ({said["git"]})', 'seed': int(said['seed']),
                 'step': int(said['step']), 'config': settings(json.loads(said['train']))}
     except (OSError, struct.error, ValueError, KeyError, TypeError):
@@ -198,8 +203,7 @@ def without_modules(weights):
     """The bytes of a network's file without the modules' parameters, and without what else is no part of the cascade."""
     with open(weights, 'rb') as f:
         try:
-            size, = struct.unpack('<Q', f.read(8))
-            header, data = json.loads(f.read(size)), f.read()
+            header, data = read_header(f), f.read()
             about = header.pop('__metadata__', {})
             kept = {k: v for k, v in header.items() if k.startswith('model.') and not OF_MODULES.search(k)}
             parts = [data[slice(*v['data_offsets'])] for v in kept.values()]
@@ -458,9 +462,7 @@ class Experiment:
             os.makedirs(self.path(folder), exist_ok=True)
         begin = self.path('begin.safetensors')
         if self.asked.init and not os.path.exists(begin):
-            with open(begin + '.part', 'wb') as f:
-                f.write(without_modules(self.asked.init))
-            os.replace(begin + '.part', begin)
+            write(begin, without_modules(self.asked.init))
         if not os.path.exists(recorded):
             write(recorded, json.dumps(self.config, indent=2) + '\n')
 

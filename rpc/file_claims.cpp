@@ -53,7 +53,6 @@ double big_endian(const std::array<std::uint8_t, N>& bytes, std::size_t at, std:
 /// Of a packed BMP GDAL makes room for all pixels as soon as it is opened.
 /// returns  what is wrong, or nothing
 std::string false_size(Bytes& file) {
-  constexpr double kMostPacked = 20'000, kLittle = 16.0 * (1 << 20);  // as `check_content` has them
   constexpr double kHalf = 65'536, kOld = 12;  // bytes of the header that has half as large numbers
   std::array<std::uint8_t, 12> header{};
   if (!file.read(14, header)) return "";
@@ -64,7 +63,7 @@ std::string false_size(Bytes& file) {
     return n < kHalf * kHalf / 2 ? n : kHalf * kHalf - n;  // below zero where rows go down
   };
   const double width = side(0), height = side(1);
-  if (width * height <= std::max(kLittle, kMostPacked * file.size())) return "";
+  if (width * height <= most_pixels(file.size())) return "";
   std::ostringstream text;
   text << std::fixed << std::setprecision(0) << width << " x " << height << " px in a file of "
        << file.size() << " bytes, expected at least a byte for every " << kMostPacked
@@ -93,10 +92,9 @@ std::optional<double> code_stream(Bytes& file) {
 
 /// OpenJPEG keeps what is said of every tile, read or not, and each thread of GDAL's once more.
 FileClaim claim_of_tiles(Bytes& file) {
-  constexpr double kTile = 8500, kBand = 1100;         // bytes in OpenJPEG 2.5
-  constexpr double kLittle = 64e6, kForEachByte = 20;  // which such a file may cost
-  constexpr double kMostTiles = 65'535;                // of more OpenJPEG reads nothing
-  std::array<std::uint8_t, 40> size{};                 // of which the tiles follow
+  constexpr double kTile = 8500, kBand = 1100;  // bytes in OpenJPEG 2.5
+  constexpr double kMostTiles = 65'535;         // of more OpenJPEG reads nothing
+  std::array<std::uint8_t, 40> size{};          // of which the tiles follow
   const std::optional<double> start = code_stream(file);
   if (!start || !file.read(*start + 2, size) || size[0] != 0xff || size[1] != 0x51) return {};
   const auto number = [&](std::size_t k) { return big_endian(size, 6 + 4 * k, 4); };
@@ -105,7 +103,7 @@ FileClaim claim_of_tiles(Bytes& file) {
   };
   const double bands = big_endian(size, 38, 2), tiles = along(0) * along(1);
   if (!(tiles >= 1 && tiles <= kMostTiles)) return {};
-  const double once = tiles * (kTile + kBand * bands), most = kLittle + kForEachByte * file.size();
+  const double once = tiles * (kTile + kBand * bands), most = most_beside(file.size());
   if (2 * once <= most) return {"", floored(std::min(most / once, 1e6)) - 1};
   std::ostringstream text;
   text << tiles << (tiles == 1 ? " tile of " : " tiles of ") << bands

@@ -95,6 +95,19 @@ DatasetPtr open_raster(const std::filesystem::path& path);
 /// throws  IoError
 void check_format(const std::filesystem::path& path);
 
+/// Bytes of pixels for each of a file's; and what needs so little memory that it is not worth a refusal.
+constexpr double kMostPacked = 20'000, kLittlePixels = 16.0 * (1 << 20);
+/// How many bytes of pixels a file can hold, however it packs them. DEFLATE packs 1000 equal bytes into
+/// one. ZSTD and LZMA make some 50 bytes of a tile of 1 MiB of them, whose place in the file takes 16
+/// more; sparse files leave out whole tiles.
+/// stored  bytes of the file
+constexpr double most_pixels(double stored) {
+  return stored * kMostPacked > kLittlePixels ? stored * kMostPacked : kLittlePixels;
+}
+/// How many bytes of memory, beside its pixels, a file is worth.
+/// stored  bytes of the file
+constexpr double most_beside(double stored) { return 64e6 + 20 * stored; }
+
 /// Refuses a raster whose pixels cannot be in its file: one of some hundred bytes may claim any
 /// size, or blocks larger than the image, which are read whole. Up to 16 MiB are never refused, nor up to
 /// 20000 bytes for each of the file, or 64 MB and 20 for each where blocks are larger than the image.

@@ -44,23 +44,26 @@ CPLHTTPResult* refuse_request(const char* url, CSLConstList, GDALProgressFunc, v
   return result;
 }
 
-/// Whether a file's claims allow it to be opened in a GdalScope, where fewer threads than the machine has
-/// may read it.
-bool may_open(const std::string& name) {
+/// Why GDAL may not open a file in a GdalScope, or nothing. Where its claims allow fewer threads than
+/// there are, no more will decode it.
+std::string refusal_of(const std::string& name, bool to_read) {
+  struct stat found {};
+  if (::stat(name.c_str(), &found) == 0 && !S_ISREG(found.st_mode) && !S_ISDIR(found.st_mode))
+    return "a pipe, socket or device, expected a file";
+  if (!to_read) return "";
   const FileClaim claim = claim_of(name);
-  if (!claim.refusal.empty()) {
-    if (refused.why.empty()) refused = {name, claim.refusal};
-    return false;
+  if (!claim.refusal.empty() && refused.why.empty()) refused = {name, claim.refusal};
+  if (claim.threads) {
+    const char* set = CPLGetConfigOption(kThreads, nullptr);
+    const Index now = set != nullptr && !EQUAL(set, "ALL_CPUS") ? std::atoi(set) : CPLGetNumCPUs();
+    if (*claim.threads < now)
+      CPLSetThreadLocalConfigOption(kThreads, std::to_string(*claim.threads).c_str());
   }
-  if (!claim.threads) return true;
-  const char* set = CPLGetConfigOption(kThreads, nullptr);
-  const Index now = set != nullptr && !EQUAL(set, "ALL_CPUS") ? std::atoi(set) : CPLGetNumCPUs();
-  if (*claim.threads < now)
-    CPLSetThreadLocalConfigOption(kThreads, std::to_string(*claim.threads).c_str());
-  return true;
+  return claim.refusal;
 }
 
-/// The file system, less what is no file: a pipe would wait for a writer, a device may never end.
+/// The file system, less what is no file (a pipe would wait for a writer, a device may never end) and
+/// what claims more than it can hold.
 class OnlyFiles : public VSIFilesystemHandler {
  public:
   /// all  GDAL's own, which lives on in this
@@ -68,15 +71,9 @@ class OnlyFiles : public VSIFilesystemHandler {
 
   VSIVirtualHandle* Open(const char* name, const char* access, bool set_error,
                          CSLConstList options) override {
-    struct stat found {};
-    if (scopes > 0 && ::stat(name, &found) == 0 && !S_ISREG(found.st_mode) &&
-        !S_ISDIR(found.st_mode)) {
-      CPLError(CE_Failure, CPLE_OpenFailed, "%s: a pipe, socket or device, expected a file", name);
-      errno = EINVAL;
-      return nullptr;
-    }
-    if (scopes > 0 && access[0] == 'r' && !may_open(name)) {
-      CPLError(CE_Failure, CPLE_OpenFailed, "%s: %s", name, refused.why.c_str());
+    const std::string why = scopes > 0 ? refusal_of(name, access[0] == 'r') : "";
+    if (!why.empty()) {
+      CPLError(CE_Failure, CPLE_OpenFailed, "%s: %s", name, why.c_str());
       errno = EINVAL;
       return nullptr;
     }

@@ -72,17 +72,12 @@ DatasetPtr open_raster(const fs::path& path) {
 }
 
 void check_content(const fs::path& path, GDALDataset& d) {
-  // DEFLATE packs 1000 equal bytes into one. ZSTD and LZMA make some 50 bytes of a tile of 1 MiB of
-  // them, whose place in the file takes 16 more; sparse files leave out whole tiles. What needs little
-  // memory is not worth a refusal. Blocks larger than the image hold nothing in what is larger.
-  constexpr double kMostPacked = 20'000, kLittle = 16.0 * (1 << 20);
-  constexpr double kMostRim = 64e6, kRimPacked = 20;
   double pixels = 0;  // bytes as they are stored, before packing
   for (int b = 1; b <= d.GetRasterCount(); ++b)
     pixels += GDALGetDataTypeSizeBytes(d.GetRasterBand(b)->GetRasterDataType());
   pixels *= static_cast<double>(d.GetRasterXSize()) * static_cast<double>(d.GetRasterYSize());
   const double block = block_bytes(d), bytes = std::max(pixels, block);
-  if (bytes <= kLittle) return;
+  if (bytes <= kLittlePixels) return;
   double stored = 0;
   char** files = d.GetFileList();  // of a mosaic, its parts too
   for (int i = 0; files && files[i]; ++i) {
@@ -91,7 +86,8 @@ void check_content(const fs::path& path, GDALDataset& d) {
     if (!error) stored += static_cast<double>(size);
   }
   CSLDestroy(files);
-  const double most = block > pixels ? kMostRim + kRimPacked * stored : kMostPacked * stored;
+  // blocks larger than the image hold nothing in what is larger
+  const double most = block > pixels ? most_beside(stored) : most_pixels(stored);
   if (bytes <= most) return;
   std::ostringstream text;
   text << path.string() << ": " << size_text(d) << (block > pixels ? " in blocks of " : ", ")
