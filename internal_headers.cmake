@@ -10,7 +10,7 @@ set(satsurf_internal_headers
   "/rpc/(camera_check|gdal)\\.h$"
   "/nn/parameter_limit\\.h$"
   "/mesh/sampled_view\\.h$"
-  "/scene/(believable_span|grey_pyramid|ray_walk|satnerf|sight_lines|whu)\\.h$"
+  "/scene/(believable_span|grey_pyramid|height_sweep|ray_walk|satnerf|sight_lines|whu)\\.h$"
   "/scene/simulate/(city|conditions|develop|draw|dress|given|layout|natural|noise|orbit|render|texture)\\.h$"
   "/reconstruct/(cast|cell_count|cell_mode|cell_slopes|cell_surfels|cross_check|fusion|narrow|shown_pixel|surface_input|tile_cut|trust)\\.h$"
   "/train/(sample_batch)\\.h$"

@@ -28,16 +28,17 @@ double seconds_between(std::chrono::steady_clock::time_point a,
 }  // namespace
 
 std::string progress_line(const std::string& stage, double fraction, const std::string& detail,
-                          double seconds, int columns) {
+                          double seconds, int columns, double begun) {
   constexpr int kBar = 24;
-  const double f = std::isfinite(fraction) ? std::clamp(fraction, 0.0, 1.0) : 0;
+  const auto share = [](double x) { return std::isfinite(x) ? std::clamp(x, 0.0, 1.0) : 0; };
+  const double f = share(fraction), done = f - share(begun);
   const int full = static_cast<int>(f * kBar);
   std::string line = stage + " [" + std::string(static_cast<std::size_t>(full), '#') +
                      std::string(static_cast<std::size_t>(kBar - full), '.') +
                      fmt::format("] {:3.0f} %", std::floor(100 * f));
   if (!detail.empty()) line += "  " + detail;
-  if (f > 0 && f < 1 && seconds >= 1) {
-    const long left = std::lround(seconds * (1 - f) / f);
+  if (done > 0 && f < 1 && seconds >= 1) {
+    const long left = std::lround(seconds * (1 - f) / done);
     line += left >= 3600
                 ? fmt::format("  {}:{:02}:{:02} left", left / 3600, left / 60 % 60, left % 60)
                 : fmt::format("  {}:{:02} left", left / 60, left % 60);
@@ -63,19 +64,21 @@ void Progress::update(const std::string& stage, double fraction, const std::stri
   const bool new_stage = stage != stage_;
   if (new_stage) {
     end_stage(now);
-    stage_ = stage, stage_start_ = now;
+    stage_ = stage, stage_start_ = now, begun_ = fraction;
   }
   const double seconds = seconds_between(stage_start_, now);
   // a log gets lines only from work that takes a while
   if (seconds_between(last_line_, now) >= kLineEvery) {
     last_line_ = now;
-    log_line(LogLevel::info, progress_line(stage, fraction, detail, seconds, 200), !terminal_);
+    log_line(LogLevel::info, progress_line(stage, fraction, detail, seconds, 200, begun_),
+             !terminal_);
   }
   const bool due = seconds_between(last_drawn_, now) >= kDrawEvery || new_stage || fraction >= 1;
   if (!terminal_ || !due || !stderr_shows(LogLevel::info)) return;
   last_drawn_ = now;
-  std::fprintf(stderr, "\r\033[K%s",
-               progress_line(stage, fraction, detail, seconds, terminal_columns() - 1).c_str());
+  std::fprintf(
+      stderr, "\r\033[K%s",
+      progress_line(stage, fraction, detail, seconds, terminal_columns() - 1, begun_).c_str());
   std::fflush(stderr);
   drawn_ = true;
 }

@@ -31,6 +31,7 @@ class Progress {
 
   bool terminal_, drawn_ = false;
   std::string stage_;
+  double begun_ = 0;  // fraction that the stage began with
   Clock::time_point stage_start_, last_drawn_, last_line_;
 };
 
@@ -38,7 +39,8 @@ class Progress {
 /// fraction  in [0, 1]; at 0 no time is given
 /// seconds   since the stage began
 /// columns   the line's width at most
+/// begun     fraction that it began with: what goes on where it stopped
 std::string progress_line(const std::string& stage, double fraction, const std::string& detail,
-                          double seconds, int columns);
+                          double seconds, int columns, double begun = 0);
 
 }  // namespace satsurf::app

@@ -5,11 +5,12 @@
 
 #include <algorithm>
 #include <map>
+#include <utility>
 
 namespace satsurf::scene {
 namespace {
 
-constexpr double kNear = 50;         // m from all others at which a small patch still counts
+constexpr double kNear = 20;         // m from all others up to which heights are close together
 constexpr double kUnconfirmed = 25;  // m beyond the other way's span that one way may say alone
 
 }  // namespace
@@ -54,20 +55,34 @@ rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRa
   return {low, high};
 }
 
-rpc::HeightRange span_of_patches(const std::vector<Patch>& patches,
-                                 const rpc::HeightRange& searched, Index large) {
-  std::vector<float> heights;
-  for (const Patch& patch : patches) heights.insert(heights.end(), patch.begin(), patch.end());
-  const rpc::HeightRange near = believable_span(std::move(heights), searched, kNear);
-  std::vector<float> sure;
-  for (const Patch& patch : patches) {
-    const auto [low, high] = std::ranges::minmax(patch);
-    const bool touches =
-        static_cast<double>(high) >= near.low && static_cast<double>(low) <= near.high;
-    if (touches || static_cast<Index>(patch.size()) >= large)
-      sure.insert(sure.end(), patch.begin(), patch.end());
+rpc::HeightRange near_span(std::vector<float> heights, const rpc::HeightRange& searched) {
+  return believable_span(std::move(heights), searched, kNear);
+}
+
+rpc::HeightRange widened(rpc::HeightRange span, const std::vector<Patch>& patches,
+                         const std::function<bool(std::size_t)>& confirmed) {
+  struct Beyond {
+    std::size_t patch;
+    double nearest, farthest;  // m
+  };
+  std::vector<Beyond> above, below;
+  for (std::size_t k = 0; k < patches.size(); ++k) {
+    const auto [least, most] = std::ranges::minmax(patches[k]);
+    const double low = static_cast<double>(least), high = static_cast<double>(most);
+    if (low > span.high) above.push_back({k, low, high});
+    if (high < span.low) below.push_back({k, high, low});
   }
-  return hull(near, believable_span(std::move(sure), searched));
+  std::ranges::sort(above, {}, &Beyond::nearest);
+  std::ranges::sort(below, std::greater<>(), &Beyond::nearest);
+  for (const Beyond& b : above) {
+    if (b.nearest - span.high > kLargestStep) break;
+    if (b.farthest > span.high && confirmed(b.patch)) span.high = b.farthest;
+  }
+  for (const Beyond& b : below) {
+    if (span.low - b.nearest > kLargestStep) break;
+    if (b.farthest < span.low && confirmed(b.patch)) span.low = b.farthest;
+  }
+  return span;
 }
 
 std::optional<rpc::HeightRange> confirmed_span(const std::optional<rpc::HeightRange>& a,

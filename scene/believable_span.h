@@ -4,6 +4,8 @@
 #include "satsurf/core/shape.h"
 #include "satsurf/rpc/height_range.h"
 
+#include <cstddef>
+#include <functional>
 #include <optional>
 #include <vector>
 
@@ -12,6 +14,8 @@ namespace satsurf::scene {
 /// Heights of neighbouring pixels, local m.
 using Patch = std::vector<float>;
 
+constexpr double kLargestStep = 100;  ///< m between heights of one scene with none in between
+
 /// Lowest and highest height that is found more often than chance finds it. Chance matches are
 /// few and anywhere in the searched range; what lies outside the middle nine tenths shows how
 /// few.
@@ -19,14 +23,17 @@ using Patch = std::vector<float>;
 /// searched      range they were looked for in
 /// largest_step  m with nothing in between; beyond it is another pattern
 rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched,
-                                 double largest_step = 100);
+                                 double largest_step = kLargestStep);
 
-/// `believable_span` of heights in patches. One that lies more than 50 m above or below all others
-/// counts only if it is large, as towers and the ground below cliffs are and chance is not.
-/// patches  with at least one height
-/// large    pixels
-rpc::HeightRange span_of_patches(const std::vector<Patch>& patches,
-                                 const rpc::HeightRange& searched, Index large);
+/// The span of what lies close together, no more than 20 m beyond the rest.
+/// heights, searched  see `believable_span`
+rpc::HeightRange near_span(std::vector<float> heights, const rpc::HeightRange& searched);
+
+/// A span, and of patches beyond it the ones that are confirmed, from the nearest to the farthest and in
+/// steps of up to 100 m.
+/// confirmed  whether a patch is more than chance; asked of those that would widen the span
+rpc::HeightRange widened(rpc::HeightRange span, const std::vector<Patch>& patches,
+                         const std::function<bool(std::size_t)>& confirmed);
 
 /// What two ways to find a span say of it: all that either found up to 25 m beyond what both did. As
 /// chance finds other heights each way, what only one of them found farther off is not believed. All

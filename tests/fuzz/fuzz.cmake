@@ -33,7 +33,7 @@ endforeach()
 target_link_libraries(satsurf_fuzzed PUBLIC satsurf_fuzzed_readers spdlog::spdlog fmt::fmt OpenImageIO::OpenImageIO OpenSSL::Crypto)
 
 # Comparisons of numbers in inner loops teach the search nothing and take half of the time of `cameras` and `scene`.
-set(numeric rpc/fit.cpp rpc/frame.cpp rpc/model.cpp scene/believable_span.cpp scene/grey_pyramid.cpp scene/height_range.cpp scene/tie_points.cpp)
+set(numeric rpc/fit.cpp rpc/frame.cpp rpc/model.cpp scene/believable_span.cpp scene/grey_pyramid.cpp scene/height_range.cpp scene/height_sweep.cpp scene/tie_points.cpp)
 list(TRANSFORM numeric PREPEND ${PROJECT_SOURCE_DIR}/)
 if(SATSURF_FUZZ STREQUAL sanitizers)
   set_source_files_properties(${numeric} PROPERTIES COMPILE_OPTIONS -fno-sanitize-coverage=trace-cmp)

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/scene/believable_span.h"
 
+#include <algorithm>
+#include <cstddef>
 #include <optional>
 #include <vector>
 
@@ -12,11 +14,11 @@ namespace {
 using rpc::HeightRange;
 using scene::believable_span;
 using scene::confirmed_span;
+using scene::near_span;
 using scene::Patch;
-using scene::span_of_patches;
+using scene::widened;
 
 constexpr HeightRange kSearched{-300, 900};  // m
-constexpr Index kLarge = 98;                 // px
 
 /// A patch whose heights rise evenly.
 Patch patch(std::size_t pixels, float low, float high) {
@@ -36,17 +38,42 @@ TEST_CASE("the believable span leaves out what chance finds") {
   CHECK(span.high < 30);
 }
 
-TEST_CASE("a patch far from all others has to be large") {
-  const Patch ground = patch(3000, 0, 12);
-  CHECK(span_of_patches({ground}, kSearched, kLarge) == HeightRange{0, 12});
-  // within 50 m of the rest a small one counts
-  CHECK(span_of_patches({ground, patch(60, 40, 44)}, kSearched, kLarge) == HeightRange{0, 44});
-  CHECK(span_of_patches({ground, patch(60, 80, 84)}, kSearched, kLarge) == HeightRange{0, 12});
-  CHECK(span_of_patches({ground, patch(60, -90, -86)}, kSearched, kLarge) == HeightRange{0, 12});
-  CHECK(span_of_patches({ground, patch(100, 80, 84)}, kSearched, kLarge) == HeightRange{0, 84});
-  CHECK(span_of_patches({ground, patch(100, -90, -86)}, kSearched, kLarge) == HeightRange{-90, 12});
-  // and beyond 100 m none does
-  CHECK(span_of_patches({ground, patch(150, 120, 124)}, kSearched, kLarge) == HeightRange{0, 12});
+TEST_CASE("a patch beyond a span has to be confirmed") {
+  using Asked = std::vector<std::size_t>;
+  Asked asked;
+  const auto span = [&](const std::vector<Patch>& patches, const Asked& true_ones) {
+    asked.clear();
+    return widened({0, 12}, patches, [&](std::size_t k) {
+      asked.push_back(k);
+      return std::ranges::find(true_ones, k) != true_ones.end();
+    });
+  };
+  CHECK(span({}, {}) == HeightRange{0, 12});
+  CHECK(span({patch(60, 2, 28)}, {}) == HeightRange{0, 12});  // touches it
+  CHECK(asked.empty());
+  CHECK(span({patch(60, 80, 84)}, {}) == HeightRange{0, 12});
+  CHECK(asked == Asked{0});
+  CHECK(span({patch(60, 80, 84)}, {0}) == HeightRange{0, 84});
+  CHECK(span({patch(60, -90, -86)}, {}) == HeightRange{0, 12});
+  CHECK(span({patch(60, -90, -86)}, {0}) == HeightRange{-90, 12});
+  // from the nearest on, in steps of 100 m
+  CHECK(span({patch(150, 180, 184), patch(60, 80, 84)}, {0, 1}) == HeightRange{0, 184});
+  CHECK(asked == Asked{1, 0});
+  CHECK(span({patch(150, 180, 184), patch(60, 80, 84)}, {0}) == HeightRange{0, 12});
+  CHECK(asked == Asked{1});
+  CHECK(span({patch(60, -190, -186), patch(60, -90, -86)}, {0, 1}) == HeightRange{-190, 12});
+}
+
+TEST_CASE("heights within 20 m of the rest are close together") {
+  const auto span = [](float low, float high) {
+    std::vector<float> heights = patch(3000, 0, 12);
+    for (const float z : patch(60, low, high)) heights.push_back(z);
+    return near_span(std::move(heights), kSearched);
+  };
+  CHECK(span(24, 28) == HeightRange{0, 28});
+  CHECK(span(-22, -18) == HeightRange{-22, 12});
+  CHECK(span(36, 40).high < 13);
+  CHECK(span(-40, -36).low > -1);
 }
 
 TEST_CASE("what one way alone finds far off is not believed") {

@@ -3,7 +3,6 @@
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
-#include "satsurf/scene/height_range.h"
 #include "satsurf/scene/simulate/scene.h"
 
 #include <array>
@@ -387,53 +386,4 @@ TEST_CASE("folders that are no data sets are refused") {
   CHECK_THROWS_AS(list_scenes(folder.path()), IoError);
   std::filesystem::create_directories(folder.path() / "Track3-RGB");
   CHECK_THROWS_AS(list_scenes(folder.path()), IoError);
-}
-
-TEST_CASE("the height range of a scene is found by comparing its images") {
-  SimulateConfig config = small_scene();
-  config.pixels = 192;
-  config.kinds = {scene::SceneKind::rural};
-  const SimulatedScene made = simulate_scene(config, 11, 0);
-  Scene scene;
-  scene.frame = made.frame;
-  for (const SimulatedView& v : made.views)
-    scene.views.push_back({"v", v.rgb, Tensor({192, 192}, 1.f), v.rpc, 0, 0, "", "v.tif"});
-  const double low = made.h_min - made.frame.h0, high = made.h_max - made.frame.h0;
-  const auto [agreed, found] = find_height_range(scene, {low - 300, high + 300});
-  CHECK(agreed.low > low - 5);
-  CHECK(agreed.high < high + 5);
-  CHECK(agreed.span() > 0.3 * (high - low));
-  // percentiles may miss the deepest corner, the margin covers most of it
-  CHECK(found.low < low + 8);
-  CHECK(found.high > low);
-  CHECK(found.span() < high - low + 80);
-  CHECK_THROWS_AS(find_height_range(scene, {high + 400, high + 700}), Error);
-  struct Stop {};
-  CHECK_THROWS_AS(find_height_range(scene, {low, high}, [] { throw Stop{}; }), Stop);
-  try {
-    find_height_range(scene, {low - 300, high + 300}, {}, [](double, double) { return true; });
-    FAIL("expected an Error");
-  } catch (const Error& e) {
-    CHECK(std::string(e.what()).find(": 0 windows agree at any height from ") != std::string::npos);
-    CHECK(std::string(e.what()).ends_with(" more do under --mask; give a height range"));
-  }
-  Scene alone = scene;
-  alone.views.resize(1);
-  CHECK_THROWS_WITH_AS(
-      find_height_range(alone, {low, high}),
-      "v.tif: no other image sees its ground, expected one or more to compare it with", Error);
-  // an image of something else does not make it wider
-  Scene with_another = scene;
-  with_another.views.push_back(scene.views[1]);
-  Tensor& other = with_another.views.back().rgb = Tensor({3, 192, 192});
-  for (Index i = 0; i < other.count(); ++i) other[i] = static_cast<float>(i * 7919 % 1009) / 1009;
-  const rpc::HeightRange still = find_height_range(with_another, {low - 300, high + 300}).range;
-  CHECK(still.low < low + 8);
-  CHECK(still.span() < high - low + 80);
-  for (Index i = 0; i < scene.views[1].rgb.count(); ++i)  // smooth, but not of one grey
-    scene.views[1].rgb[i] = 0.3f + 0.1f * static_cast<float>(i % 192) / 192;
-  CHECK_THROWS_WITH_AS(find_height_range(scene, {low, high}),
-                       "v.tif: 0 windows with texture, expected 100 or more to compare with the "
-                       "other images",
-                       Error);
 }
