@@ -11,8 +11,8 @@ S        of the first one, 970001 unless said
 SET      data sets of `simulate` that are there already, whose first three images are taken instead
 
 A scene's range comes from `reconstruct --dry-run`, its truth from the simulator's surface where it falls into two images or
-more. Prints how many ranges hold the lowest and the highest true height, and how wide they are. Needs python3-gdal and
-python3-numpy of Debian.
+more. Prints how many ranges hold the lowest and the highest true height, how many of them those of the water, too, which
+has no texture and may lie far below, and how wide they are. Needs python3-gdal and python3-numpy of Debian.
 """
 import argparse
 import csv
@@ -26,7 +26,8 @@ from osgeo import gdal, osr
 
 gdal.UseExceptions()
 MIX = ["--kinds", "city,suburb,industrial,village,rural,rough", "--kind_weights", "0.35,0.25,0.2,0.07,0.07,0.06"]
-COLUMNS = ["scene", "low", "high", "true_low", "true_high"]
+COLUMNS = ["scene", "low", "high", "true_low", "true_high", "low_with_water", "high_with_water"]
+WATER = 9  # its class
 
 
 def run(*command):
@@ -36,10 +37,11 @@ def run(*command):
     return done.stdout
 
 
-def true_heights(truth, images):
-    """Those that fall into two images or more; every second cell a side."""
+def true_heights(truth, classes, images):
+    """Those that fall into two images or more, every second cell a side; without the water, and with it."""
     raster = gdal.Open(str(truth))
     z = raster.ReadAsArray()[::2, ::2].astype(float)
+    water = gdal.Open(str(classes)).ReadAsArray()[::2, ::2] == WATER
     nodata = raster.GetRasterBand(1).GetNoDataValue()
     x0, step_x, _, y0, _, step_y = raster.GetGeoTransform()
     x, y = np.meshgrid(x0 + (2 * np.arange(z.shape[1]) + 0.5) * step_x, y0 + (2 * np.arange(z.shape[0]) + 0.5) * step_y)
@@ -57,14 +59,14 @@ def true_heights(truth, images):
         pixels = np.array(pixels)
         seen += (np.array(good) > 0) & (pixels[:, 0] >= 0) & (pixels[:, 0] < picture.RasterXSize) & \
             (pixels[:, 1] >= 0) & (pixels[:, 1] < picture.RasterYSize)
-    return points[seen >= 2, 2]
+    return points[(seen >= 2) & ~water[known], 2], points[seen >= 2, 2]
 
 
 def tried(program, name, images, truth):
     said = run(program, "reconstruct", *images, "--dry-run", "--quiet")
     low, high = re.search(r"height range +(-?[\d.]+) to (-?[\d.]+) m", said).groups()
-    heights = true_heights(truth, images)
-    return [name, low, high, f"{heights.min():.2f}", f"{heights.max():.2f}"]
+    both = true_heights(truth, truth.with_name(truth.name.replace("_DSM", "_CLS")), images)
+    return [name, low, high, *(f"{z:.2f}" for heights in both for z in (heights.min(), heights.max()))]
 
 
 def scenes(options):
@@ -107,10 +109,11 @@ def main():
             rows.append(tried(options.program, name, *get()))
             writer.writerow(rows[-1])
             out.flush()
-    low, high, true_low, true_high = np.array([r[1:] for r in rows], float).T
+    low, high, true_low, true_high, lowest, highest = np.array([r[1:] for r in rows], float).T
     below, above = low - true_low, true_high - high  # m that are missed
     wide = (high - low) / (true_high - true_low)
-    print(f"{len(rows)} scenes; {np.sum((below <= 0) & (above <= 0))} ranges hold the surface")
+    print(f"{len(rows)} scenes; {np.sum((below <= 0) & (above <= 0))} ranges hold the surface, "
+          f"{np.sum((low <= lowest) & (highest <= high))} with its water")
     for row, b, a in zip(rows, below, above):
         if b > 0 or a > 0:
             print(f"  {row[0]}: found {row[1]} to {row[2]} m, true {row[3]} to {row[4]} m")

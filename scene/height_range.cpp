@@ -54,6 +54,7 @@ class HeightSearch {
     look_where_earlier_views_do_not();
     std::optional<rpc::HeightRange> span = span_of(0);
     if (looks_[0].heights.size() > 1) span = confirmed_span(span, span_of(1));
+    if (span && agreed_by_more_) span = hull(*span, *agreed_by_more_);
     return span;
   }
 
@@ -193,9 +194,10 @@ class HeightSearch {
   /// compared with all others. What chance finds in one view, hardly any other finds too.
   bool others_agree(Index view, const std::vector<Index>& pixels, const Patch& heights,
                     std::size_t way) {
-    // Shares of the pixels, chosen on 190 patches of chance and some of towers. Where one other view
-    // alone sees the patch, more of them have to agree.
-    constexpr double kSame = 0.25, kSameInOne = 0.6, kSure = 0.3;
+    // Shares of the pixels. Where one other view alone sees the patch, chance agrees too often with less
+    // than two windows.
+    constexpr double kSame = 0.5, kSure = 0.3, kSameInOne = 0.75, kSureInOne = 0.5;
+    constexpr Index kLarge = 2 * HeightSweep::kPatch;
     int seeing = 0, agreeing = 0;
     Shares most;
     for (const Index other : views_from(0)) {
@@ -205,8 +207,14 @@ class HeightSearch {
       ++seeing, agreeing += shares->same >= kSame ? 1 : 0;
       most = {std::max(most.same, shares->same), std::max(most.sure, shares->sure)};
     }
-    return 2 * agreeing > seeing && most.same >= (seeing > 1 ? kSame : kSameInOne) &&
-           most.sure >= kSure;
+    if (seeing == 1)
+      return most.same >= kSameInOne && most.sure >= kSureInOne &&
+             static_cast<Index>(pixels.size()) >= kLarge;
+    if (2 * agreeing <= seeing || most.sure < kSure) return false;
+    const auto [low, high] = std::ranges::minmax(heights);
+    const rpc::HeightRange span{static_cast<double>(low), static_cast<double>(high)};
+    agreed_by_more_ = agreed_by_more_ ? hull(*agreed_by_more_, span) : span;
+    return true;
   }
 
   /// returns  nothing where the other view does not see the patch
@@ -256,6 +264,8 @@ class HeightSearch {
   HeightSweep sweep_;
   std::vector<Look> looks_;
   Index agreeing_ = 0, masked_ = 0;
+  /// Heights of patches that two other views or more confirm: one way to find them is enough.
+  std::optional<rpc::HeightRange> agreed_by_more_;
   /// Pixels that may still be compared to check patches: twice an image, however many there are.
   Index left_to_check_ = 2 * sweep_.height(0) * sweep_.width(0);
 };
