@@ -21,7 +21,7 @@ namespace {
 /// Added at both ends, m: roofs and gullies smaller than a coarse window.
 constexpr double kMargin = 15;
 /// Added besides, of the span: the higher a city, the higher may a single tower rise above all that
-/// is found; below it no more than the margin once more, as a shaded pit may need.
+/// is found; below it the margin once more at most, as banks hide what lies at their foot.
 constexpr double kRelief = 0.25;
 constexpr Index kFewest = 100;  // matches that make a range believable
 

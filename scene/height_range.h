@@ -16,9 +16,10 @@ struct FoundHeights {
 };
 
 /// Height range of a scene that names none: a coarse sweep by normalised correlation of the first
-/// view with the others. Of three views and more it is made twice, with the mean of all correlations
-/// of a pixel and with that of the better half of them, and what only one of the two finds far from
-/// the rest is not believed.
+/// view with the others, and of what it does not show in the others among themselves. Of three views
+/// and more it is made twice, with the mean of all correlations of a pixel and with that of the better
+/// half of them. What lies far from the rest counts if other views find it, too, when they are compared
+/// with all others; what only one of the two ways finds far off counts if two views do.
 /// searched  range to search, as a rule the cameras' own, local m
 /// poll      called often, may throw to stop
 /// unwanted  whether heights found over a point of the ground, local m, do not count; may be empty
