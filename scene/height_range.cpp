@@ -9,6 +9,7 @@
 #include <array>
 #include <cmath>
 #include <cstdio>
+#include <functional>
 #include <numeric>
 #include <optional>
 #include <string>
@@ -35,8 +36,21 @@ std::string names_of(const Scene& scene) {
 /// What is found from one view.
 struct Look {
   Index view = 0;
-  std::vector<BestHeights> heights;  // one or two, of the whole image
+  std::vector<std::vector<FoundPatch>> patches;  // in one way, or two
 };
+
+std::vector<float> heights_of(const std::vector<FoundPatch>& patches) {
+  std::vector<float> heights;
+  for (const FoundPatch& p : patches)
+    heights.insert(heights.end(), p.heights.begin(), p.heights.end());
+  return heights;
+}
+
+/// Of one or two ways: who has but one says the same in both.
+template <class T>
+const T& in_way(const std::vector<T>& ways, std::size_t way) {
+  return ways[std::min(way, ways.size() - 1)];
+}
 
 class HeightSearch {
  public:
@@ -50,10 +64,10 @@ class HeightSearch {
         sweep_(scene, searched) {}
 
   std::optional<rpc::HeightRange> found() {
-    looks_.push_back({0, sweep_.tried(0, views_from(1), sweep_.whole(0), poll_)});
+    looks_.push_back(look_of(0, sweep_.tried(0, views_from(1), sweep_.whole(0), poll_)));
     look_where_earlier_views_do_not();
     std::optional<rpc::HeightRange> span = span_of(0);
-    if (looks_[0].heights.size() > 1) span = confirmed_span(span, span_of(1));
+    if (looks_[0].patches.size() > 1) span = confirmed_span(span, span_of(1));
     if (span && agreed_by_more_) span = hull(*span, *agreed_by_more_);
     return span;
   }
@@ -71,19 +85,16 @@ class HeightSearch {
 
   /// Surfaces that the first view does not see, in two of the others.
   void look_where_earlier_views_do_not() {
-    const auto patches = patches_of(looks_[0], 0);
-    std::vector<float> heights;
-    for (const FoundPatch& p : patches)
-      heights.insert(heights.end(), p.heights.begin(), p.heights.end());
+    std::vector<float> heights = heights_of(looks_[0].patches[0]);
     if (heights.empty()) return;
     // m above what is found: a tower may lean out of the first view
     constexpr double kAbove = 50;
     const rpc::HeightRange near = near_span(std::move(heights), searched_);
     for (Index view = 1; view + 1 < sweep_.views(); ++view) {
-      Look look{view, {}};
+      std::vector<BestHeights> found;
       for (const PixelBox& box : unseen_before(view, {near.low, near.middle(), near.high + kAbove}))
-        try_box(look, box);
-      if (!look.heights.empty()) looks_.push_back(std::move(look));
+        try_box(view, box, found);
+      if (!found.empty()) looks_.push_back(look_of(view, found));
     }
   }
 
@@ -119,19 +130,19 @@ class HeightSearch {
     return boxes;
   }
 
-  void try_box(Look& look, const PixelBox& box) const {
-    const Index W = sweep_.width(look.view);
-    const PixelBox around = with_windows(look.view, box);
-    const auto part = sweep_.tried(look.view, views_from(look.view + 1), around, poll_);
-    if (look.heights.empty())
-      look.heights.assign(part.size(), BestHeights(sweep_.height(look.view) * W));
-    for (std::size_t s = 0; s < part.size(); ++s)
+  /// found  takes what is found in the box, of the whole image
+  void try_box(Index view, const PixelBox& box, std::vector<BestHeights>& found) const {
+    const Index W = sweep_.width(view);
+    const PixelBox around = with_windows(view, box);
+    const auto part = sweep_.tried(view, views_from(view + 1), around, poll_);
+    if (found.empty()) found.assign(part.size(), BestHeights(sweep_.height(view) * W));
+    for (std::size_t way = 0; way < part.size(); ++way)
       for (Index y = box.y0; y < box.y1; ++y)
         for (Index x = box.x0; x < box.x1; ++x) {
           const Index from = (y - around.y0) * around.width() + x - around.x0, to = y * W + x;
-          look.heights[s].best[to] = part[s].best[from];
-          look.heights[s].rival[to] = part[s].rival[from];
-          look.heights[s].where[to] = part[s].where[from];
+          found[way].best[to] = part[way].best[from];
+          found[way].rival[to] = part[way].rival[from];
+          found[way].where[to] = part[way].where[from];
         }
   }
 
@@ -142,14 +153,15 @@ class HeightSearch {
             std::min(sweep_.width(view), box.x1 + r), std::min(sweep_.height(view), box.y1 + r)};
   }
 
-  static const BestHeights& heights_of(const std::vector<BestHeights>& ways, std::size_t way) {
-    return ways[std::min(way, ways.size() - 1)];
+  Look look_of(Index view, const std::vector<BestHeights>& ways) {
+    Look look{view, {}};
+    for (const BestHeights& heights : ways) look.patches.push_back(patches_of(view, heights));
+    return look;
   }
 
-  std::vector<FoundPatch> patches_of(const Look& look, std::size_t way) {
-    const BestHeights& heights = heights_of(look.heights, way);
-    const Index H = sweep_.height(look.view), W = sweep_.width(look.view);
-    const View& view = scene_.views[static_cast<std::size_t>(look.view)];
+  std::vector<FoundPatch> patches_of(Index index, const BestHeights& heights) {
+    const Index H = sweep_.height(index), W = sweep_.width(index);
+    const View& view = scene_.views[static_cast<std::size_t>(index)];
     const double f = static_cast<double>(sweep_.factor());
     std::vector<char> counted(static_cast<std::size_t>(H * W));
     Index left_out = 0;
@@ -164,24 +176,22 @@ class HeightSearch {
       if (unwanted_(p[0], p[1])) counted[static_cast<std::size_t>(i)] = 0, ++left_out;
     }
     masked_ = std::max(masked_, left_out);
-    return sweep_.patches(look.view, heights.where, std::move(counted));
+    return sweep_.patches(index, heights.where, std::move(counted));
   }
 
   std::optional<rpc::HeightRange> span_of(std::size_t way) {
-    std::vector<Patch> heights;
-    std::vector<std::pair<Index, std::vector<Index>>> places;  // view, pixels
-    std::vector<float> of_first;
-    for (const Look& look : looks_)
-      for (FoundPatch& patch : patches_of(look, way)) {
-        if (look.view == 0)
-          of_first.insert(of_first.end(), patch.heights.begin(), patch.heights.end());
-        heights.push_back(std::move(patch.heights));
-        places.emplace_back(look.view, std::move(patch.pixels));
-      }
+    std::vector<float> of_first = heights_of(in_way(looks_[0].patches, way));
     agreeing_ = std::max(agreeing_, static_cast<Index>(of_first.size()));
     if (static_cast<Index>(of_first.size()) < kFewest) return {};
+    std::vector<Patch> heights;
+    std::vector<std::pair<Index, const FoundPatch*>> places;  // view, patch
+    for (const Look& look : looks_)
+      for (const FoundPatch& patch : in_way(look.patches, way)) {
+        heights.push_back(patch.heights);
+        places.emplace_back(look.view, &patch);
+      }
     return widened(near_span(std::move(of_first), searched_), heights, [&](std::size_t k) {
-      return others_agree(places[k].first, places[k].second, heights[k], way);
+      return others_agree(places[k].first, *places[k].second, way);
     });
   }
 
@@ -192,8 +202,7 @@ class HeightSearch {
 
   /// Whether the other views find the heights of a patch where it lies in them, when they in turn are
   /// compared with all others. What chance finds in one view, hardly any other finds too.
-  bool others_agree(Index view, const std::vector<Index>& pixels, const Patch& heights,
-                    std::size_t way) {
+  bool others_agree(Index view, const FoundPatch& patch, std::size_t way) {
     // Shares of the pixels. Where one other view alone sees the patch, chance agrees too often with less
     // than two windows.
     constexpr double kSame = 0.5, kSure = 0.3, kSameInOne = 0.75, kSureInOne = 0.5;
@@ -202,28 +211,29 @@ class HeightSearch {
     Shares most;
     for (const Index other : views_from(0)) {
       if (other == view) continue;
-      const std::optional<Shares> shares = shares_in(other, view, pixels, heights, way);
+      const std::optional<Shares> shares = shares_in(other, view, patch, way);
       if (!shares) continue;
       ++seeing, agreeing += shares->same >= kSame ? 1 : 0;
       most = {std::max(most.same, shares->same), std::max(most.sure, shares->sure)};
     }
     if (seeing == 1)
       return most.same >= kSameInOne && most.sure >= kSureInOne &&
-             static_cast<Index>(pixels.size()) >= kLarge;
+             static_cast<Index>(patch.pixels.size()) >= kLarge;
     if (2 * agreeing <= seeing || most.sure < kSure) return false;
-    const auto [low, high] = std::ranges::minmax(heights);
+    const auto [low, high] = std::ranges::minmax(patch.heights);
     const rpc::HeightRange span{static_cast<double>(low), static_cast<double>(high)};
     agreed_by_more_ = agreed_by_more_ ? hull(*agreed_by_more_, span) : span;
     return true;
   }
 
   /// returns  nothing where the other view does not see the patch
-  std::optional<Shares> shares_in(Index other, Index view, const std::vector<Index>& pixels,
-                                  const Patch& heights, std::size_t way) {
+  std::optional<Shares> shares_in(Index other, Index view, const FoundPatch& patch,
+                                  std::size_t way) {
     struct Place {
       Index x, y;
       float z;
     };
+    const auto& [pixels, heights] = patch;
     const Quadratic& transfer = sweep_.transfer(view, other);
     const Index W = sweep_.width(view);
     std::vector<Place> places;
@@ -244,7 +254,7 @@ class HeightSearch {
     std::vector<Index> all_others = views_from(0);
     std::erase(all_others, other);
     const auto ways = sweep_.tried(other, all_others, around, poll_);
-    const BestHeights& found = heights_of(ways, way);
+    const BestHeights& found = in_way(ways, way);
     double compared = 0, same = 0, sure = 0;
     for (const Place& p : places) {
       const Index i = (p.y - around.y0) * around.width() + p.x - around.x0;

@@ -4,8 +4,8 @@
 #include "satsurf/scene/height_range.h"
 #include "satsurf/scene/simulate/scene.h"
 
+#include <cmath>
 #include <string>
-#include <utility>
 
 #include <doctest/doctest.h>
 
