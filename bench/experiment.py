@@ -4,11 +4,15 @@
 them on the same held-out scenes and writes the table.
 
   bench/experiment.py OUT [--steps 1000] [--seeds 1 2] [--only REGEX] [--lpips FILE] [--satsurf PROGRAM]
-                      [--init FILE --preset NAME]
+                      [--init FILE --preset NAME] [--study parts]
 
 With --init all begin with one trained network, less what its modules have learned (fusion and guidance), so that each
 variant makes its own from nothing: OUT/begin.safetensors. Of the variants those that are built like it are left: the
 whole method and what lacks some of its modules.
+
+--study parts asks what each part of wide8 brings that base8 does not have: the search for heights alone is trained, with
+nothing rendered, and heights and surfaces alone are scored. --init is a network built like base8, from which all begin
+as it is: what wide8 adds begins at nothing.
 
 Goes on where it stopped: whatever OUT already holds is not made again, and a stopped training goes on from its last
 checkpoint. OUT/experiment.json is the configuration; another one needs another OUT. Beside each score
@@ -71,6 +75,21 @@ METHOD = 'base8'
 # Parameters of the modules, which --init leaves out. Routing has none.
 OF_MODULES = re.compile(r'\.(fusion|guidance)\.')
 
+# Of --study parts: what differs from wide8, all of them searching alone.
+SEARCH = ['--preset', 'wide8', *(word for loss in ('geo', 'colour', 'ssim', 'render_height', 'lpips')
+                                 for word in (f'--{loss}_weight', '0'))]
+PARTS = {
+    'full': SEARCH,
+    'no best pair': [*SEARCH, '--model.best_pair', 'false'],
+    'features of a quarter': [*SEARCH, '--model.feature_levels', '0'],
+    'no local contrast': [*SEARCH, '--model.local_contrast', 'false'],
+    'mean height': [*SEARCH, '--model.height', 'mean'],
+    'bilinear centres': [*SEARCH, '--model.centre', 'bilinear'],
+    'no distribution loss': [*SEARCH, '--distribution_weight', '0'],
+    'heights out of reach': [*SEARCH, '--height_in_reach', 'false'],
+    'none of the parts': ['--preset', 'base8', *SEARCH[2:]],
+}
+
 # What takes a module out.
 SWITCHES = {'fusion': ('--model.fusion', 'none'), 'guidance': ('--model.guidance', 'none'),
             'routing': ('--routing', 'none')}
@@ -90,6 +109,22 @@ COLUMNS = [
     ('mesh_f1_1', 'F1 1 m %', 100, 1, False),
     ('dsm_completeness', 'DSM complete %', 100, 1, False),
 ]
+
+# Of --study parts: heights of the views, and the surface with its holes filled.
+PARTS_COLUMNS = [
+    ('mvs_source_mae', 'source MAE m', 1, 3, True),
+    ('mvs_source_rmse', 'source RMSE m', 1, 3, True),
+    ('mvs_source_pag1', 'source < 1 m %', 100, 1, False),
+    ('mvs_source_pag2.5', 'source < 2.5 m %', 100, 1, False),
+    ('dsm_filled_none_mae', 'filled DSM MAE m', 1, 3, True),
+    ('dsm_filled_none_rmse', 'RMSE m', 1, 3, True),
+    ('dsm_filled_none_pag1', '< 1 m %', 100, 1, False),
+    ('dsm_filled_none_pag2.5', '< 2.5 m %', 100, 1, False),
+    ('dsm_filled_none_pag7.5', '< 7.5 m %', 100, 1, False),
+]
+
+# Variants and columns by the question that is asked.
+STUDIES = {'modules': (VARIANTS, COLUMNS), 'parts': (PARTS, PARTS_COLUMNS)}
 
 # Seeds of the scenes. A configuration without them is of before they were recorded, and they were these.
 DATA_SEEDS = {'train_seed': 101, 'heldout_seed': 202}
@@ -294,14 +329,19 @@ def confidence_cell(records):
     return ', '.join(f'{sum(k[of] for k in known)} of {len(known)}' for of in ('mvs_source', 'dsm'))
 
 
+def study_of(config):
+    """Variants and columns."""
+    return STUDIES[config.get('study', 'modules')]
+
+
 def columns_of(config, scores):
-    """COLUMNS, LPIPS with the name of its network: as evaluate says, else as its file is called."""
+    """The study's columns, LPIPS with the name of its network: as evaluate says, else as its file is called."""
     said = [r['lpips_backbone'] for runs in scores.values() for *_, r in runs.values() if r.get('lpips_backbone')]
     file = config.get('lpips', '').split(' sha256:')[0]
     called = re.search('alex|squeeze|vgg', file)
     network = said[0] if said else called[0] if called else file
     return [(key, f'LPIPS ({network})' if title == 'LPIPS' and network else title, *rest)
-            for key, title, *rest in COLUMNS]
+            for key, title, *rest in study_of(config)[1]]
 
 
 def gain_text(title, digits, found):
@@ -442,7 +482,14 @@ class Experiment:
         self.config = {k: getattr(arguments, k) for k in ('steps', 'crop', 'scenes', 'heldout', 'pixels')}
         self.config |= {k: identity(getattr(arguments, k)) for k in ('mono', 'lpips')} | DATA_SEEDS
         if arguments.init:  # which has a monocular branch
-            self.config |= {'mono': '', 'init': identity(arguments.init), 'preset': arguments.preset}
+            self.config |= {'mono': '', 'init': identity(arguments.init)}
+        if arguments.study != 'modules':
+            self.config['study'] = arguments.study
+        elif arguments.init:
+            self.config['preset'] = arguments.preset
+        self.variants = study_of(self.config)[0]
+        modules = arguments.study == 'modules'
+        self.first = self.path('begin.safetensors') if arguments.init and modules else arguments.init
         self.programs = Programs()
         self.threads = ['--threads', str(max(1, CORES // arguments.jobs))]
         self.made_by = {'program': output_of([self.satsurf, '--version']), 'binary': identity(self.satsurf)}
@@ -460,15 +507,14 @@ class Experiment:
                 raise RuntimeError(f'{recorded} is of another experiment: {told}; give another OUT')
         for folder in ('scores', 'runs'):
             os.makedirs(self.path(folder), exist_ok=True)
-        begin = self.path('begin.safetensors')
-        if self.asked.init and not os.path.exists(begin):
-            write(begin, without_modules(self.asked.init))
+        if self.first != self.asked.init and not os.path.exists(self.first):
+            write(self.first, without_modules(self.asked.init))
         if not os.path.exists(recorded):
             write(recorded, json.dumps(self.config, indent=2) + '\n')
 
     def arguments_of(self, variant):
         """Of train, without files and folders."""
-        words = [self.config.get('preset', word) if word == METHOD else word for word in VARIANTS[variant]]
+        words = [self.config.get('preset', word) if word == METHOD else word for word in self.variants[variant]]
         return [*words, '--steps', str(self.config['steps']), '--crop', str(self.config['crop'])]
 
     def settings_of(self, variant, seed):
@@ -486,11 +532,11 @@ class Experiment:
 
     def recorded(self):
         """What OUT/scores holds: [(variant, seed)] in the table's order, and the tables of no known variant."""
-        variants = {file_name(v): v for v in VARIANTS}
+        variants = {file_name(v): v for v in self.variants}
         names = {f: re.fullmatch(r'(.+)-(\d+)\.csv', f) for f in sorted(os.listdir(self.path('scores')))}
         known = [(variants[m[1]], int(m[2])) for m in names.values() if m and m[1] in variants]
         others = [f for f, m in names.items() if f.endswith('.csv') and not (m and m[1] in variants)]
-        return sorted(known, key=lambda run: (list(VARIANTS).index(run[0]), run[1])), others
+        return sorted(known, key=lambda run: (list(self.variants).index(run[0]), run[1])), others
 
     def collect(self):
         """All scores of known variants: {variant: {seed: (mean row, {scene: row}, record)}}."""
@@ -534,8 +580,8 @@ class Experiment:
             lpips = ['--lpips_weights', self.asked.lpips] if self.asked.lpips else []
             self.programs.run([self.satsurf, 'train', '--out', folder, *self.arguments_of(variant),
                                '--data', self.path('train'), '--seed', str(seed),
-                               *(['--init', self.path('begin.safetensors')] if self.asked.init else
-                                 ['--mono_weights', self.asked.mono]), *lpips, *self.threads,
+                               *(['--init', self.first] if self.first else ['--mono_weights', self.asked.mono]),
+                               *lpips, *self.threads,
                                '--resume' if begun else '--overwrite'], log)
             trained = read_training(weights)
         self.check(folder, trained, variant, seed)
@@ -549,7 +595,8 @@ class Experiment:
         lpips = ['--lpips-weights', self.asked.lpips] if self.asked.lpips else []
         self.programs.run([self.satsurf, 'evaluate', '--data', self.path('heldout'),
                            '--weights', os.path.join(run, 'weights.safetensors'), '--csv', run + '.csv',
-                           '--json', run + '.evaluate.json', '--overwrite', *self.threads, *lpips], log)
+                           '--json', run + '.evaluate.json', '--overwrite', *self.threads, *lpips,
+                           *(['--no-meshes'] if self.asked.study == 'parts' else [])], log)
         record = self.made_by | {'trained_by': trained.get('trained_by', 'not recorded')}
         record |= self.settings_of(variant, seed) | self.findings(run + '.evaluate.json')
         lines = [f'  {json.dumps(k)}: {json.dumps(v)}' for k, v in record.items()]
@@ -609,6 +656,8 @@ def parse(words):
                         help='weights of the monocular branch')
     parser.add_argument('--init', default='', help='trained network that all begin with, less its modules')
     parser.add_argument('--preset', default=METHOD, help='that a network for --init is built by')
+    parser.add_argument('--study', default='modules', choices=STUDIES, help='what is taken out: modules of the method, or '
+                        'parts of wide8')
     parser.add_argument('--seeds', type=int, nargs='+', default=[1, 2])
     parser.add_argument('--lpips', default='', help='LPIPS weights, for the loss and the score; neither without')
     parser.add_argument('--only', default='', help='variants whose name this regular expression finds')
@@ -616,18 +665,19 @@ def parse(words):
     arguments = parser.parse_args(words)
     if not os.path.isfile(arguments.satsurf) or not os.access(arguments.satsurf, os.X_OK):
         raise RuntimeError(f'no program {arguments.satsurf}; build satsurf or name it with --satsurf')
-    if arguments.preset != METHOD and not arguments.init:
-        raise RuntimeError('--preset: needs --init')
+    if arguments.preset != METHOD and not (arguments.init and arguments.study == 'modules'):
+        raise RuntimeError('--preset: needs --init, and is not for --study parts')
     for flag, file in (('--mono', arguments.mono), ('--lpips', arguments.lpips), ('--init', arguments.init)):
         if not os.path.isfile(file) and not (flag != '--mono' and not file):
             raise RuntimeError(f'{flag}: no file {file!r}')
     try:
-        variants = [v for v, words in VARIANTS.items()
-                    if re.search(arguments.only, v) and (not arguments.init or METHOD in words)]
+        known = STUDIES[arguments.study][0]
+        variants = [v for v, words in known.items() if re.search(arguments.only, v) and
+                    (arguments.study != 'modules' or not arguments.init or METHOD in words)]
     except re.error as e:
         raise RuntimeError(f'--only: {arguments.only!r} is no regular expression ({e})') from None
     if not variants:
-        raise RuntimeError(f'--only: {arguments.only!r} finds none of the variants: {", ".join(VARIANTS)}')
+        raise RuntimeError(f'--only: {arguments.only!r} finds none of the variants: {", ".join(known)}')
     return arguments, variants
 
 

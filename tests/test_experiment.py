@@ -369,6 +369,23 @@ class Script(Folder):
         self.assertEqual((config['preset'], config['mono']), ('wide8', ''))
         self.assertRegex(config['init'], r'^trained\.safetensors sha256:')
 
+    def test_parts_of_the_search(self):
+        init = self.put('base.safetensors', 'weights')
+        self.runs('--study', 'parts', '--init', init, '--seeds', '1', '--only', '^(full|bilinear|none)')
+        trainings = self.calls('train')
+        self.assertEqual(len(trainings), 3)
+        for call, words in zip(trainings, ('--preset wide8 ', '--model.centre bilinear ', '--preset base8 ')):
+            self.assertIn(words, call)
+            self.assertIn(f'--init {init} ', call)  # as it is
+            self.assertIn('--colour_weight 0 --ssim_weight 0 --render_height_weight 0 --lpips_weight 0 ', call)
+        self.assertTrue(all(call.endswith('--no-meshes') for call in self.calls('evaluate')))
+        config = self.json('experiment.json')
+        self.assertEqual((config['study'], config['mono'], 'preset' in config), ('parts', '', False))
+        self.assertIn('| variant | source MAE m |', self.table())
+        self.assertEqual(list(self.json('table.json')['gains_of_full']), ['bilinear centres', 'none of the parts'])
+        self.refuses('is of another experiment', '--init', init)
+        self.refuses('--preset: needs --init, and is not for', '--study', 'parts', '--init', init, '--preset', 'wide8')
+
     def test_only_keeps_other_rows(self):
         self.runs('--seeds', '1')
         self.runs('--only', '^full$', '--seeds', '2')
