@@ -10,9 +10,9 @@ With --init all begin with one trained network, less what its modules have learn
 variant makes its own from nothing: OUT/begin.safetensors. Of the variants those that are built like it are left: the
 whole method and what lacks some of its modules.
 
---study parts asks what each part of wide8 brings that base8 does not have: the search for heights alone is trained, with
-nothing rendered, and heights and surfaces alone are scored. --init is a network built like base8, from which all begin
-as it is: what wide8 adds begins at nothing.
+--study parts asks what each part of wide8 brings that base8 does not have. The search for heights alone is trained,
+nothing is rendered, and heights and surfaces alone are scored. --init then is a network built like base8, from which
+all begin as it is: what wide8 adds begins at nothing.
 
 Goes on where it stopped: whatever OUT already holds is not made again, and a stopped training goes on from its last
 checkpoint. OUT/experiment.json is the configuration; another one needs another OUT. Beside each score
@@ -483,13 +483,13 @@ class Experiment:
         self.config |= {k: identity(getattr(arguments, k)) for k in ('mono', 'lpips')} | DATA_SEEDS
         if arguments.init:  # which has a monocular branch
             self.config |= {'mono': '', 'init': identity(arguments.init)}
+        self.first = arguments.init  # that all begin with
         if arguments.study != 'modules':
             self.config['study'] = arguments.study
         elif arguments.init:
             self.config['preset'] = arguments.preset
+            self.first = self.path('begin.safetensors')
         self.variants = study_of(self.config)[0]
-        modules = arguments.study == 'modules'
-        self.first = self.path('begin.safetensors') if arguments.init and modules else arguments.init
         self.programs = Programs()
         self.threads = ['--threads', str(max(1, CORES // arguments.jobs))]
         self.made_by = {'program': output_of([self.satsurf, '--version']), 'binary': identity(self.satsurf)}
@@ -654,10 +654,11 @@ def parse(words):
     parser.add_argument('--pixels', type=positive, default=384, help='rows and columns of the images')
     parser.add_argument('--mono', default=os.path.join(root, 'nn/weights/mono12.safetensors'),
                         help='weights of the monocular branch')
-    parser.add_argument('--init', default='', help='trained network that all begin with, less its modules')
+    parser.add_argument('--init', default='', help='trained network that all begin with; less its modules if '
+                        'these are the study')
     parser.add_argument('--preset', default=METHOD, help='that a network for --init is built by')
-    parser.add_argument('--study', default='modules', choices=STUDIES, help='what is taken out: modules of the method, or '
-                        'parts of wide8')
+    parser.add_argument('--study', default='modules', choices=STUDIES,
+                        help='what is taken out: modules of the method, or parts of wide8')
     parser.add_argument('--seeds', type=int, nargs='+', default=[1, 2])
     parser.add_argument('--lpips', default='', help='LPIPS weights, for the loss and the score; neither without')
     parser.add_argument('--only', default='', help='variants whose name this regular expression finds')
