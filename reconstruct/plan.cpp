@@ -177,6 +177,13 @@ nn::Wanted wanted_of(Surface surface) {
   return surface == Surface::refined ? nn::Wanted::discs : nn::Wanted::surfels;
 }
 
+double mean_footprint(const scene::Scene& scene, const std::array<double, 3>& place) {
+  double sum = 0;
+  for (const scene::View& v : scene.views)
+    sum += rpc::view_geometry(rpc::pixel_jacobian(v.rpc, scene.frame, place)).footprint;
+  return sum / static_cast<double>(scene.views.size());
+}
+
 ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,
                                     const ReconstructOptions& options) {
   const double z = scene.z_range.middle();
@@ -187,12 +194,10 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   const std::array<double, 3> middle{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
                                      z};
   std::vector<rpc::PixelJacobian> cameras;
-  double footprint = 0;
+  const double footprint = mean_footprint(scene, middle);
   Index largest = 0;
   for (const scene::View& v : scene.views) {
     cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, middle));
-    footprint +=
-        rpc::view_geometry(cameras.back()).footprint / static_cast<double>(scene.views.size());
     largest = std::max({largest, v.height(), v.width()});
   }
 

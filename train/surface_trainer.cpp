@@ -46,34 +46,6 @@ void add_truth(const scene::Scene& scene, const reconstruct::UnrefinedSurface& m
     }
 }
 
-/// Some of a scene's images, by one of the cascades, at a random resolution.
-SurfaceLesson lesson_of(const SurfaceTrainConfig& config, const std::vector<nn::Model>& cascades,
-                        scene::Scene scene, Rng rng) {
-  std::vector<std::size_t> order(scene.views.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  for (std::size_t i = order.size(); i-- > 1;)
-    std::swap(order[i], order[static_cast<std::size_t>(rng.below(static_cast<Index>(i) + 1))]);
-  const Index most = std::min(config.views_most, static_cast<Index>(order.size()));
-  order.resize(static_cast<std::size_t>(2 + rng.below(most - 1)));
-  std::vector<scene::View> views;
-  for (const std::size_t i : order) views.push_back(std::move(scene.views[i]));
-  scene.views = std::move(views);
-  const double span = scene.z_range.span();
-  scene.z_range.low -= rng.uniform(0, config.range_jitter) * span;
-  scene.z_range.high += rng.uniform(0, config.range_jitter) * span;
-  reconstruct::ReconstructOptions how;
-  // As fine as the truth or finer, down to what reconstructions have by default.
-  how.resolution =
-      rng.uniform(0, 1) < 0.5 ? scene.truth->step : rng.uniform(0.6, 1) * scene.truth->step;
-  const nn::Model& cascade =
-      cascades[static_cast<std::size_t>(rng.below(static_cast<Index>(cascades.size())))];
-  reconstruct::UnrefinedSurface made = reconstruct::unrefined_surface(cascade, scene, how);
-  SurfaceLesson lesson;
-  add_truth(scene, made, lesson);
-  lesson.input = std::move(made.input);
-  return lesson;
-}
-
 /// Mean distance of a surface from the truth, m.
 double mean_distance(const float* heights, const SurfaceLesson& lesson,
                      const float* otherwise = nullptr) {
@@ -141,6 +113,34 @@ class SurfaceTask : public TrainingTask {
 };
 
 }  // namespace
+
+SurfaceLesson surface_lesson(const SurfaceTrainConfig& config,
+                             const std::vector<nn::Model>& cascades, scene::Scene scene, Rng rng) {
+  std::vector<std::size_t> order(scene.views.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  for (std::size_t i = order.size(); i-- > 1;)
+    std::swap(order[i], order[static_cast<std::size_t>(rng.below(static_cast<Index>(i) + 1))]);
+  const Index most = std::min(config.views_most, static_cast<Index>(order.size()));
+  order.resize(static_cast<std::size_t>(2 + rng.below(most - 1)));
+  std::vector<scene::View> views;
+  for (const std::size_t i : order) views.push_back(std::move(scene.views[i]));
+  scene.views = std::move(views);
+  const double span = scene.z_range.span();
+  scene.z_range.low -= rng.uniform(0, config.range_jitter) * span;
+  scene.z_range.high += rng.uniform(0, config.range_jitter) * span;
+  reconstruct::ReconstructOptions how;
+  constexpr double kFinest = 0.5, kCoarsest = 1.5;  // pixels
+  const double cell =
+      rng.uniform(0, 1) < 0.5 ? 1 : kFinest * std::pow(kCoarsest / kFinest, rng.uniform(0, 1));
+  how.resolution = cell * reconstruct::mean_footprint(scene, {0, 0, scene.z_range.middle()});
+  const nn::Model& cascade =
+      cascades[static_cast<std::size_t>(rng.below(static_cast<Index>(cascades.size())))];
+  reconstruct::UnrefinedSurface made = reconstruct::unrefined_surface(cascade, scene, how);
+  SurfaceLesson lesson;
+  add_truth(scene, made, lesson);
+  lesson.input = std::move(made.input);
+  return lesson;
+}
 
 StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& network,
                       const SurfaceLesson& lesson) {
@@ -225,8 +225,8 @@ nn::SurfaceModel train(const SurfaceTrainConfig& config, const fs::path& data, s
   LessonStream lessons(config.scene_uses, config.scene_pool, [&](Index number) {
     scene::Scene scene = data.empty() ? made_up_scene(config.simulate, seed, number)
                                       : scenes[static_cast<std::size_t>(number) % scenes.size()];
-    return KeptLesson(lesson_of(config, cascades, std::move(scene),
-                                Rng(seed).fork(~static_cast<std::uint64_t>(number))));
+    return KeptLesson(surface_lesson(config, cascades, std::move(scene),
+                                     Rng(seed).fork(~static_cast<std::uint64_t>(number))));
   });
   SurfaceTask task(network, cascades[0], config, lessons, seed);
   run_training(task, config, to_json(config).dump(), run, callbacks);

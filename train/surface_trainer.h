@@ -3,6 +3,7 @@
 
 #include "satsurf/core/packed_tensor.h"
 #include "satsurf/core/rng.h"
+#include "satsurf/nn/model.h"
 #include "satsurf/nn/surface_net.h"
 #include "satsurf/scene/simulate/scene.h"
 #include "satsurf/train/training.h"
@@ -75,6 +76,14 @@ struct SurfaceLesson {
   Tensor truth;   ///< [H W] local m
   Tensor weight;  ///< [H W] 1 where the truth is known and counts, else 0
 };
+
+/// A reconstruction of some of a scene's images, two to `config.views_most`, by one of the cascades,
+/// and what is true of it. Half of the lessons have cells of a pixel on the ground, as reconstructions
+/// have by default, the others of half a pixel to one and a half: what users ask for, and where the
+/// network would be at a loss that has seen nothing but one size.
+/// scene    with a truth
+SurfaceLesson surface_lesson(const SurfaceTrainConfig& config,
+                             const std::vector<nn::Model>& cascades, scene::Scene scene, Rng rng);
 
 /// Likelihood, distance and choice, in which the terms are `height_mae` and `mode_mae` (of the
 /// densest mode, with the holes filled: what the network begins with), m.

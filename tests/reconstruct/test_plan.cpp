@@ -149,6 +149,15 @@ TEST_CASE("views of different places are refused") {
                        "no two images see the same ground, expected overlapping views", Error);
 }
 
+TEST_CASE("without a resolution cells are as large as pixels on the ground") {
+  const scene::Scene scene = small_scene();
+  const double footprint = mean_footprint(scene, {0, 0, scene.z_range.middle()});
+  CHECK(footprint == doctest::Approx(0.5).epsilon(0.1));
+  CHECK(mean_footprint(scene, {20, -20, scene.z_range.low}) ==
+        doctest::Approx(footprint).epsilon(0.01));
+  CHECK(plan_reconstruction(nn::model_preset("tiny"), scene, {}).step == natural_step(footprint));
+}
+
 TEST_CASE("a surface of more cells than there can be is refused, whatever made it so large") {
   const rpc::LocalFrame frame;
   CHECK(grid_of({0, 0, 10, 10}, frame, 0.5).width == 20);

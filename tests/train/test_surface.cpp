@@ -2,6 +2,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/weights_file.h"
+#include "satsurf/train/scene_stream.h"
 #include "satsurf/train/surface_trainer.h"
 
 #include <algorithm>
@@ -105,6 +106,33 @@ TEST_CASE("the surface network learns which candidate the images agree about") {
   const double after = surface_loss(config, network, lesson).terms[0].second;
   CHECK(before > 1);
   CHECK(after < 0.5);
+}
+
+TEST_CASE("half of the lessons have the cells that reconstructions have by default") {
+  SurfaceTrainConfig config = tiny(1);
+  config.simulate.pixels = 64;
+  std::vector<nn::Model> cascades;
+  cascades.push_back(nn::load_model(cascade()));
+  const scene::Scene scene = made_up_scene(config.simulate, 3, 0);
+  int of_a_pixel = 0, fine = 0, coarse = 0;
+  constexpr int kLessons = 24;
+  for (std::uint64_t seed = 0; seed < kLessons; ++seed) {
+    const SurfaceLesson lesson = surface_lesson(config, cascades, scene, Rng(seed));
+    const Tensor& planes = lesson.input.planes;
+    const double cell = std::exp(static_cast<double>(
+        planes[static_cast<Index>(nn::SurfacePlane::cell) * planes.dim(1) * planes.dim(2)]));
+    CAPTURE(cell);
+    CHECK(cell > 0.48);
+    CHECK(cell < 1.56);
+    of_a_pixel += std::abs(cell - 1) < 0.04, fine += cell<0.9, coarse += cell> 1.1;
+    REQUIRE(lesson.truth.shape() == Shape{planes.dim(1), planes.dim(2)});
+    double known = 0;
+    for (const float w : lesson.weight.values()) known += static_cast<double>(w);
+    CHECK(known > 0.5 * static_cast<double>(lesson.weight.count()));
+  }
+  CHECK(of_a_pixel >= kLessons / 4);
+  CHECK(fine >= 3);
+  CHECK(coarse >= 2);
 }
 
 TEST_CASE("a lesson's windows are squares of it in all eight orientations") {
