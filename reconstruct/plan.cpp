@@ -177,11 +177,10 @@ nn::Wanted wanted_of(Surface surface) {
   return surface == Surface::refined ? nn::Wanted::discs : nn::Wanted::surfels;
 }
 
-double mean_footprint(const scene::Scene& scene, const std::array<double, 3>& place) {
+double mean_footprint(const std::vector<rpc::PixelJacobian>& cameras) {
   double sum = 0;
-  for (const scene::View& v : scene.views)
-    sum += rpc::view_geometry(rpc::pixel_jacobian(v.rpc, scene.frame, place)).footprint;
-  return sum / static_cast<double>(scene.views.size());
+  for (const rpc::PixelJacobian& camera : cameras) sum += rpc::view_geometry(camera).footprint;
+  return sum / static_cast<double>(cameras.size());
 }
 
 ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::Scene& scene,
@@ -194,12 +193,12 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   const std::array<double, 3> middle{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
                                      z};
   std::vector<rpc::PixelJacobian> cameras;
-  const double footprint = mean_footprint(scene, middle);
   Index largest = 0;
   for (const scene::View& v : scene.views) {
     cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, middle));
     largest = std::max({largest, v.height(), v.width()});
   }
+  const double footprint = mean_footprint(cameras);
 
   const Index multiple = nn::size_multiple(model);
   plan.whole_images = !options.grid && options.tile == 0 && largest <= kWholeImage;

@@ -144,8 +144,9 @@ double natural_step(double footprint);
 double span_of_hypotheses(const nn::ModelConfig& config,
                           const std::vector<rpc::PixelJacobian>& cameras);
 
-/// Ground size of the images' pixels at a local place, on average, m.
-double mean_footprint(const scene::Scene& scene, const std::array<double, 3>& place);
+/// Ground size of the images' pixels, on average, m.
+/// cameras  derivatives of the views, one or more
+double mean_footprint(const std::vector<rpc::PixelJacobian>& cameras);
 
 /// Sizes and memory of a reconstruction, before it begins.
 /// throws  Error if fewer than two views see a common ground, or for more cells or tiles than there can be

@@ -263,11 +263,9 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
   const std::array<double, 3> middle{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
                                      scene.z_range.middle()};
   std::vector<rpc::PixelJacobian> cameras;
-  double footprint = 0;
-  for (const scene::SurveyedView& view : survey.views) {
+  for (const scene::SurveyedView& view : survey.views)
     cameras.push_back(rpc::pixel_jacobian(view.rpc, scene.frame, middle));
-    footprint += rpc::view_geometry(cameras.back()).footprint / static_cast<double>(surveyed);
-  }
+  const double footprint = mean_footprint(cameras);
   Tiling out;
   out.views = std::min(surveyed, survey.most_views);
   out.grid = grid_of(ground, scene.frame,

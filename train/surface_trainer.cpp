@@ -132,7 +132,10 @@ SurfaceLesson surface_lesson(const SurfaceTrainConfig& config,
   constexpr double kFinest = 0.5, kCoarsest = 1.5;  // pixels
   const double cell =
       rng.uniform(0, 1) < 0.5 ? 1 : kFinest * std::pow(kCoarsest / kFinest, rng.uniform(0, 1));
-  how.resolution = cell * reconstruct::mean_footprint(scene, {0, 0, scene.z_range.middle()});
+  std::vector<rpc::PixelJacobian> cameras;
+  for (const scene::View& v : scene.views)
+    cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, {0, 0, scene.z_range.middle()}));
+  how.resolution = cell * reconstruct::mean_footprint(cameras);
   const nn::Model& cascade =
       cascades[static_cast<std::size_t>(rng.below(static_cast<Index>(cascades.size())))];
   reconstruct::UnrefinedSurface made = reconstruct::unrefined_surface(cascade, scene, how);

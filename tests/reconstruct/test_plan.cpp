@@ -151,10 +151,15 @@ TEST_CASE("views of different places are refused") {
 
 TEST_CASE("without a resolution cells are as large as pixels on the ground") {
   const scene::Scene scene = small_scene();
-  const double footprint = mean_footprint(scene, {0, 0, scene.z_range.middle()});
+  const auto footprint_at = [&](const std::array<double, 3>& place) {
+    std::vector<rpc::PixelJacobian> cameras;
+    for (const scene::View& v : scene.views)
+      cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, place));
+    return mean_footprint(cameras);
+  };
+  const double footprint = footprint_at({0, 0, scene.z_range.middle()});
   CHECK(footprint == doctest::Approx(0.5).epsilon(0.1));
-  CHECK(mean_footprint(scene, {20, -20, scene.z_range.low}) ==
-        doctest::Approx(footprint).epsilon(0.01));
+  CHECK(footprint_at({20, -20, scene.z_range.low}) == doctest::Approx(footprint).epsilon(0.01));
   CHECK(plan_reconstruction(nn::model_preset("tiny"), scene, {}).step == natural_step(footprint));
 }
 

@@ -124,7 +124,9 @@ TEST_CASE("half of the lessons have the cells that reconstructions have by defau
     CAPTURE(cell);
     CHECK(cell > 0.48);
     CHECK(cell < 1.56);
-    of_a_pixel += std::abs(cell - 1) < 0.04, fine += cell<0.9, coarse += cell> 1.1;
+    if (std::abs(cell - 1) < 0.04) ++of_a_pixel;
+    if (cell < 0.9) ++fine;
+    if (cell > 1.1) ++coarse;
     REQUIRE(lesson.truth.shape() == Shape{planes.dim(1), planes.dim(2)});
     double known = 0;
     for (const float w : lesson.weight.values()) known += static_cast<double>(w);
