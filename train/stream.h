@@ -5,7 +5,9 @@
 #include "satsurf/core/rng.h"
 #include "satsurf/core/shape.h"
 
+#include <algorithm>
 #include <chrono>
+#include <cstddef>
 #include <exception>
 #include <functional>
 #include <future>
@@ -14,6 +16,7 @@
 #include <mutex>
 #include <optional>
 #include <utility>
+#include <vector>
 
 namespace satsurf::train {
 
@@ -28,16 +31,17 @@ class Stream {
   /// pool  things to draw from at any time
   /// make  the thing of a number: a pure function
   Stream(Index uses, Index pool, std::function<Item(Index)> make)
-      : uses_(uses), pool_(pool), make_(std::move(make)), ahead_of_need_(threads() > 1) {}
+      : uses_(uses), pool_(pool), make_(std::move(make)), makers_(most_makers(threads())) {}
 
   /// The number of the first of those that a sample may be taken from.
   Index first(Index sample) const { return sample / uses_; }
-  /// A random one of those that a sample may be taken from. Meanwhile a thread of its own makes those
-  /// that the next samples will want, where there is more than one thread.
+  /// A random one of those that a sample may be taken from. Meanwhile threads of their own, one for
+  /// each, make those that the next samples will want, where there is more than one thread: where
+  /// making them takes longer than using them, no thread stands still.
   /// throws  what `make` throws
   std::shared_ptr<const Item> draw(Index sample, Rng& rng) {
     constexpr Index kAhead = 2;  // one to hand out, one in the making
-    if (ahead_of_need_) prepare(first(sample), first(sample) + pool_ + kAhead);
+    prepare(first(sample), first(sample) + pool_ + kAhead);
     return item(first(sample) + rng.below(pool_));
   }
   /// A thing by its number: the same one whenever it is asked for, by any thread. It is made by the
@@ -61,7 +65,14 @@ class Stream {
  private:
   using Promise = std::promise<std::shared_ptr<const Item>>;
   using Made = std::shared_future<std::shared_ptr<const Item>>;
+  using Maker = std::future<void>;
   static constexpr Index kMostOfAStep = 64;  ///< samples
+
+  /// How many make things ahead of need: each needs the memory of what is being made.
+  static std::size_t most_makers(int threads) {
+    constexpr int kMost = 4;
+    return threads > 1 ? static_cast<std::size_t>(std::min(threads, kMost)) : 0;
+  }
 
   /// Under the mutex: from now on everyone waits for this promise.
   Promise promised(Index number) {
@@ -78,25 +89,27 @@ class Stream {
     }
   }
 
-  /// Begins to make the first of [begin, end) that nobody has begun, unless one is in the making.
+  /// Begins to make those of [begin, end) that nobody has begun, as many as there are idle makers.
   void prepare(Index begin, Index end) {
     const std::lock_guard lock(mutex_);
-    if (maker_.valid() && maker_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)
-      return;
-    while (begin < end && items_.contains(begin)) ++begin;
-    if (begin == end) return;
-    maker_ = std::async(std::launch::async, [this, begin, promise = promised(begin)]() mutable {
-      const OnOneThread alone;
-      keep(promise, begin);
-    });
+    for (Maker& maker : makers_) {
+      if (maker.valid() && maker.wait_for(std::chrono::seconds(0)) != std::future_status::ready)
+        continue;
+      while (begin < end && items_.contains(begin)) ++begin;
+      if (begin == end) return;
+      maker = std::async(std::launch::async, [this, begin, promise = promised(begin)]() mutable {
+        const OnOneThread alone;
+        keep(promise, begin);
+      });
+    }
   }
 
   Index uses_, pool_;
   std::function<Item(Index)> make_;
-  bool ahead_of_need_;
   std::mutex mutex_;
   std::map<Index, Made> items_;
-  std::future<void> maker_;  ///< last: its destructor waits, and what it makes needs the others
+  std::vector<Maker>
+      makers_;  ///< last: their destructors wait, and what they make needs the others
 };
 
 }  // namespace satsurf::train

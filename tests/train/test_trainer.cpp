@@ -14,6 +14,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <condition_variable>
 #include <fstream>
 #include <iterator>
 #include <mutex>
@@ -323,6 +324,30 @@ TEST_CASE("a stream's things are made ahead of need, each once, and drawn as if 
   const std::vector<Index> alone = drawn(1);
   if (before > 1) CHECK(drawn(before) == alone);
   set_threads(0);
+}
+
+TEST_CASE("where there are several threads, things are made ahead side by side") {
+  if (threads() == 1) return;
+  std::mutex mutex;
+  std::condition_variable arrived;
+  int makers = 0;
+  bool together = false;
+  const std::thread::id here = std::this_thread::get_id();
+  {
+    Stream<Index> stream(3, 4, [&](Index number) {
+      if (std::this_thread::get_id() == here) return number;
+      std::unique_lock lock(mutex);
+      ++makers;
+      arrived.notify_all();
+      if (arrived.wait_for(lock, std::chrono::seconds(20), [&] { return makers > 1 || together; }))
+        together = true;
+      --makers;
+      return number;
+    });
+    Rng rng(7);
+    stream.draw(0, rng);
+  }
+  CHECK(together);
 }
 
 TEST_CASE("what fails ahead of need is told to who draws it") {
