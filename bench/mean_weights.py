@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""The cascades of two weights files averaged, in half precision; all else is the first file's.
+"""The cascades of two weights files averaged, or their surface networks, in half precision; all else is the first file's.
 
-  bench/mean_weights.py A.safetensors B.safetensors OUT.safetensors [SHARE]
+  bench/mean_weights.py A.safetensors B.safetensors OUT.safetensors [SHARE [cascade|surface]]
 
 SHARE is B's, 0.5 if left out; with 1 it is B's cascade beside A's surface network. A is in half precision, B may be in either.
-The metadata are A's, and under "mean_with" the share, and where B comes from.
+The metadata are A's, and under "mean_with" (of surface networks "surface_mean_with") the share, and where B comes from.
 """
 import json
 import struct
@@ -13,6 +13,8 @@ import sys
 from pathlib import Path
 
 FORMS = {"F16": ("e", 2), "F32": ("f", 4)}
+# what the names of a network's tensors begin with, and where the metadata tell of its mean
+NETWORKS = {"cascade": ("model.", "mean_with"), "surface": ("surface.", "surface_mean_with")}
 
 
 def load(path):
@@ -28,13 +30,14 @@ def values_of(entry, data):
     return struct.unpack(f"<{(end - begin) // size}{letter}", data[begin:end])
 
 
-def main(first, second, out, share):
+def main(first, second, out, share, network):
+    prefix, origin = NETWORKS[network]
     entries, data = load(first)
     others, other_data = load(second)
     about, of_other = entries.setdefault("__metadata__", {}), others.get("__metadata__", {})
-    about["mean_with"] = json.dumps({"share": share} | {key: of_other.get(key, "") for key in ("git", "seed", "step", "version")})
+    about[origin] = json.dumps({"share": share} | {key: of_other.get(key, "") for key in ("git", "seed", "step", "version")})
     for name, entry in entries.items():
-        if not name.startswith("model."):
+        if not name.startswith(prefix):
             continue
         other = others.get(name)
         if other is None or entry["shape"] != other["shape"] or entry["dtype"] != "F16" or other["dtype"] not in FORMS:
@@ -47,6 +50,9 @@ def main(first, second, out, share):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) not in (4, 5):
+    arguments = sys.argv[1:]
+    if len(arguments) not in (3, 4, 5) or len(arguments) == 5 and arguments[4] not in NETWORKS:
         sys.exit(__doc__)
-    main(*sys.argv[1:4], float(sys.argv[4]) if len(sys.argv) == 5 else 0.5)
+    defaults = [None, None, None, "0.5", "cascade"]
+    a, b, mean, of_b, averaged = arguments + defaults[len(arguments):]
+    main(a, b, mean, float(of_b), averaged)
