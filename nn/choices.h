@@ -24,7 +24,7 @@ enum class HeightOf {
 /// Around what a stage searches, from the coarser heights of the stage before.
 enum class Centre {
   bilinear,  ///< between roof and ground at a wall
-  nearest    ///< on one of both
+  nearest    ///< on one of both: the nearest one's, along its slope
 };
 
 /// Which way surfels face.

@@ -59,13 +59,47 @@ BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid
   if (grid.hypotheses == 0) return {};
   if (previous == nullptr) return uniform_hypotheses<T>(grid, scene.z_range);
   const NoGrad no_grad;
-  const BasicVar<T> coarse = previous->height.detach(),
-                    middle = centre == Centre::bilinear
-                                 ? resize_bilinear(coarse, grid.height, grid.width)
-                                 : resize_nearest(coarse, grid.height, grid.width);
+  const BasicVar<T> coarse = previous->height.detach();
+  const BasicTensor<T> middle = centre == Centre::bilinear
+                                    ? resize_bilinear(coarse, grid.height, grid.width).value()
+                                    : along_slopes(coarse.value(), grid.height, grid.width);
   // a surface at the very edge of the range stays inside the band
   const double margin = 2 * grid.interval;
-  return narrowed_hypotheses(grid, middle.value(), scene.z_range.widened(margin));
+  return narrowed_hypotheses(grid, middle, scene.z_range.widened(margin));
+}
+
+template <class T>
+BasicTensor<T> along_slopes(const BasicTensor<T>& coarse, Index height, Index width) {
+  if (coarse.shape().rank() != 3)
+    throw ShapeError("along_slopes: coarse has shape " + coarse.shape().str() +
+                     ", expected [N h w]");
+  const Index N = coarse.dim(0), h = coarse.dim(1), w = coarse.dim(2);
+  const auto slope = [](double before, double after) {
+    if (before * after <= 0) return 0.0;
+    return std::abs(before) < std::abs(after) ? before : after;
+  };
+  auto out = BasicTensor<T>::uninitialised({N, height, width});
+  for_each_index(N * height, [&](Index row) {
+    const T* map = coarse.data() + row / height * h * w;
+    const double v = (static_cast<double>(row % height) + 0.5) * static_cast<double>(h) /
+                     static_cast<double>(height);
+    const Index i = static_cast<Index>(v);
+    for (Index j = 0; j < width; ++j) {
+      const double u =
+          (static_cast<double>(j) + 0.5) * static_cast<double>(w) / static_cast<double>(width);
+      const Index k = static_cast<Index>(u);
+      // beyond the border lies what is at the border, so that there is no slope across it
+      const auto at = [&](Index r, Index c) {
+        return static_cast<double>(
+            map[std::clamp<Index>(r, 0, h - 1) * w + std::clamp<Index>(c, 0, w - 1)]);
+      };
+      const double z = at(i, k), down = slope(z - at(i - 1, k), at(i + 1, k) - z),
+                   right = slope(z - at(i, k - 1), at(i, k + 1) - z);
+      out[row * width + j] = static_cast<T>(z + down * (v - static_cast<double>(i) - 0.5) +
+                                            right * (u - static_cast<double>(k) - 0.5));
+    }
+  });
+  return out;
 }
 
 template <class T>
@@ -106,6 +140,8 @@ template Tensor stage_hypotheses(const NetworkInput&, const StageGrid&, const St
                                  Centre);
 template BasicTensor<double> stage_hypotheses(const NetworkInput&, const StageGrid&,
                                               const StageHeights<double>*, Centre);
+template Tensor along_slopes(const Tensor&, Index, Index);
+template BasicTensor<double> along_slopes(const BasicTensor<double>&, Index, Index);
 template Tensor uniform_hypotheses(const StageGrid&, const rpc::HeightRange&);
 template BasicTensor<double> uniform_hypotheses(const StageGrid&, const rpc::HeightRange&);
 template Tensor narrowed_hypotheses(const StageGrid&, const Tensor&, const rpc::HeightRange&);

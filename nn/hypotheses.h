@@ -36,6 +36,18 @@ template <class T>
 BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
                                 const StageHeights<T>* previous, Centre centre);
 
+/// Heights of coarse pixels for finer ones: each has that of the coarse pixel in which it lies,
+/// continued along the slope there, in rows and in columns the smaller one of the differences to the
+/// neighbours before and behind, none where the two have opposite signs. So it is exact on planes, and
+/// at a wall it lies on the roof or on the ground.
+/// coarse         [N h w] m
+/// height, width  of the result
+/// returns        [N height width] m
+/// throws         ShapeError
+/// Source: the minmod limiter of Roe 1986.
+template <class T>
+BasicTensor<T> along_slopes(const BasicTensor<T>& coarse, Index height, Index width);
+
 /// Heights over a whole range, both ends included, the same for every pixel.
 /// grid     its interval is not read
 /// range    local m

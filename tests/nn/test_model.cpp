@@ -10,6 +10,7 @@
 #include "satsurf/ops/resize.h"
 #include "satsurf/splat/view.h"
 
+#include <array>
 #include <cmath>
 
 #include "tests/affine_scene.h"
@@ -258,12 +259,51 @@ TEST_CASE("the mode's heights and nearest centres") {
   for (Index i = 0; i < mean[0].height.count(); ++i)
     moved += std::abs(static_cast<double>(mean[0].height.value()[i] - mode[0].height.value()[i]));
   CHECK(moved > 0.1);
-  // every 2 x 2 pixels of stage 2 search around one height of stage 1
-  const Tensor& z = mode[1].hypotheses;
-  const Index W = z.dim(3);
-  for (Index y = 0; y < z.dim(2); y += 2)
-    for (Index x = 0; x < W; x += 2)
-      for (const Index other : {Index{1}, W, W + 1}) REQUIRE(z[y * W + x] == z[y * W + x + other]);
+  // stage 2 searches around the heights of stage 1, along their slopes
+  const nn::StageGrid grid = nn::stage_grids(config, scene)[1];
+  const Tensor expected = nn::narrowed_hypotheses(
+      grid, nn::along_slopes(mode[0].height.value(), grid.height, grid.width),
+      scene.z_range.widened(2 * grid.interval));
+  for (Index i = 0; i < expected.count(); ++i) REQUIRE(mode[1].hypotheses[i] == expected[i]);
+}
+
+TEST_CASE("heights along slopes: exact on planes, on roof or ground at walls") {
+  constexpr Index h = 5, w = 6;
+  const auto made = [&](const auto& z) {
+    BasicTensor<double> out({2, h, w});
+    for (Index i = 0; i < 2 * h * w; ++i) out[i] = z(i / (h * w), i / w % h, i % w);
+    return out;
+  };
+  const auto plane = [](Index n, double row, double column) {
+    return static_cast<double>(n) + 2 * row - 0.5 * column;
+  };
+  const auto finer =
+      nn::along_slopes(made([&](Index n, Index i, Index j) {
+                         return plane(n, static_cast<double>(i), static_cast<double>(j));
+                       }),
+                       2 * h, 2 * w);
+  REQUIRE(finer.shape() == Shape{2, 2 * h, 2 * w});
+  for (Index n = 0; n < 2; ++n)
+    for (Index i = 2; i < 2 * h - 2; ++i)
+      for (Index j = 2; j < 2 * w - 2; ++j)
+        CHECK(finer[(n * 2 * h + i) * 2 * w + j] ==
+              doctest::Approx(plane(n, (static_cast<double>(i) - 0.5) / 2,
+                                    (static_cast<double>(j) - 0.5) / 2)));
+  CHECK(finer[0] == doctest::Approx(0));  // no slope across the border
+
+  const auto wall = nn::along_slopes(made([](Index, Index, Index j) { return j < 3 ? 10.0 : 1.0; }),
+                                     2 * h, 2 * w);
+  for (Index i = 0; i < wall.count(); ++i) CHECK(wall[i] == (i % (2 * w) < 6 ? 10 : 1));
+  // a ridge, whose slopes have opposite signs, is as high as it was; beside it the gentler slope counts
+  const auto ridge = nn::along_slopes(
+      made([](Index, Index, Index j) {
+        return std::array{0.0, 1.0, 4.0, 3.0, 3.0, 3.0}[static_cast<std::size_t>(j)];
+      }),
+      2 * h, 2 * w);
+  const std::array expected{0.0, 0.0, 0.75, 1.25, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0};
+  for (Index i = 0; i < ridge.count(); ++i)
+    CHECK(ridge[i] == doctest::Approx(expected[static_cast<std::size_t>(i % (2 * w))]));
+  CHECK_THROWS_AS(nn::along_slopes(Tensor({h, w}), 2 * h, 2 * w), ShapeError);
 }
 
 TEST_CASE("heights alone are the heights of the whole pass") {
