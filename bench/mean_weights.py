@@ -30,7 +30,8 @@ def values_of(entry, data):
     return struct.unpack(f"<{(end - begin) // size}{letter}", data[begin:end])
 
 
-def main(first, second, out, share, network):
+def main(first, second, out, share="0.5", network="cascade"):
+    share = float(share)
     prefix, origin = NETWORKS[network]
     entries, data = load(first)
     others, other_data = load(second)
@@ -53,6 +54,4 @@ if __name__ == "__main__":
     arguments = sys.argv[1:]
     if len(arguments) not in (3, 4, 5) or len(arguments) == 5 and arguments[4] not in NETWORKS:
         sys.exit(__doc__)
-    defaults = [None, None, None, "0.5", "cascade"]
-    a, b, mean, of_b, averaged = arguments + defaults[len(arguments):]
-    main(a, b, mean, float(of_b), averaged)
+    main(*arguments)

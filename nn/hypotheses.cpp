@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/hypotheses.h"
 
+#include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/resize.h"
 
@@ -70,10 +71,9 @@ BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid
 
 template <class T>
 BasicTensor<T> along_slopes(const BasicTensor<T>& coarse, Index height, Index width) {
-  if (coarse.shape().rank() != 3)
-    throw ShapeError("along_slopes: coarse has shape " + coarse.shape().str() +
-                     ", expected [N h w]");
-  const Index N = coarse.dim(0), h = coarse.dim(1), w = coarse.dim(2);
+  Dims dim("along_slopes");
+  dim.match("coarse", coarse, "N h w");
+  const Index N = dim["N"], h = dim["h"], w = dim["w"];
   const auto slope = [](double before, double after) {
     if (before * after <= 0) return 0.0;
     return std::abs(before) < std::abs(after) ? before : after;

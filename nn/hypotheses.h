@@ -38,8 +38,8 @@ BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid
 
 /// Heights of coarse pixels for finer ones: each has that of the coarse pixel in which it lies,
 /// continued along the slope there, in rows and in columns the smaller one of the differences to the
-/// neighbours before and behind, none where the two have opposite signs. So it is exact on planes, and
-/// at a wall it lies on the roof or on the ground.
+/// neighbours before and behind, none where the two have opposite signs. So it is exact on planes but
+/// for their border, and at a wall it lies on the roof or on the ground.
 /// coarse         [N h w] m
 /// height, width  of the result
 /// returns        [N height width] m

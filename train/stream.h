@@ -108,8 +108,7 @@ class Stream {
   std::function<Item(Index)> make_;
   std::mutex mutex_;
   std::map<Index, Made> items_;
-  std::vector<Maker>
-      makers_;  ///< last: their destructors wait, and what they make needs the others
+  std::vector<Maker> makers_;  ///< last: they are waited for, and what they make needs the others
 };
 
 }  // namespace satsurf::train
