@@ -6,9 +6,9 @@
 #include "satsurf/nn/hypotheses.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/reconstruct/cross_check.h"
-#include "satsurf/rpc/fit.h"
 #include "satsurf/scene/believable_span.h"
 #include "satsurf/scene/crop.h"
+#include "satsurf/scene/view_geometry.h"
 
 #include <algorithm>
 #include <cmath>
@@ -120,10 +120,7 @@ std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& h
 }  // namespace
 
 double span_of_hypotheses(const nn::ModelConfig& config, const scene::Scene& scene) {
-  std::vector<rpc::PixelJacobian> cameras;
-  for (const scene::View& v : scene.views)
-    cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, middle_of(scene)));
-  return span_of_hypotheses(config, cameras);
+  return span_of_hypotheses(config, scene::cameras_at(scene.views, scene.frame, middle_of(scene)));
 }
 
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,

@@ -4,7 +4,7 @@
 #include "satsurf/core/block_pool.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/memory.h"
-#include "satsurf/rpc/fit.h"
+#include "satsurf/scene/view_geometry.h"
 
 #include <algorithm>
 #include <array>
@@ -192,12 +192,10 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   const Ground& ground = plan.ground;
   const std::array<double, 3> middle{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
                                      z};
-  std::vector<rpc::PixelJacobian> cameras;
+  const std::vector<rpc::PixelJacobian> cameras =
+      scene::cameras_at(scene.views, scene.frame, middle);
   Index largest = 0;
-  for (const scene::View& v : scene.views) {
-    cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, middle));
-    largest = std::max({largest, v.height(), v.width()});
-  }
+  for (const scene::View& v : scene.views) largest = std::max({largest, v.height(), v.width()});
   const double footprint = mean_footprint(cameras);
 
   const Index multiple = nn::size_multiple(model);

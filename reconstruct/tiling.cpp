@@ -4,7 +4,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/core/memory.h"
 #include "satsurf/reconstruct/tile_cut.h"
-#include "satsurf/rpc/fit.h"
+#include "satsurf/scene/view_geometry.h"
 
 #include <algorithm>
 #include <array>
@@ -262,9 +262,8 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
         "expected a part of it; see satsurf info");
   const std::array<double, 3> middle{0.5 * (ground.x0 + ground.x1), 0.5 * (ground.y0 + ground.y1),
                                      scene.z_range.middle()};
-  std::vector<rpc::PixelJacobian> cameras;
-  for (const scene::SurveyedView& view : survey.views)
-    cameras.push_back(rpc::pixel_jacobian(view.rpc, scene.frame, middle));
+  const std::vector<rpc::PixelJacobian> cameras =
+      scene::cameras_at(survey.views, scene.frame, middle);
   const double footprint = mean_footprint(cameras);
   Tiling out;
   out.views = std::min(surveyed, survey.most_views);

@@ -4,6 +4,9 @@
 #include "satsurf/rpc/frame.h"
 #include "satsurf/scene/polygon.h"
 
+#include <array>
+#include <vector>
+
 namespace satsurf::scene {
 
 /// The four corners of an image on the ground.
@@ -35,6 +38,15 @@ struct ViewAngles {
 /// Those of an image of width x height px at h m above the ellipsoid.
 /// throws  Error
 ViewAngles view_angles(const rpc::Rpc& rpc, Index width, Index height, double h);
+
+/// Derivatives of the cameras of views, surveyed ones or others, at a place in local metres.
+template <class Views>
+std::vector<rpc::PixelJacobian> cameras_at(const Views& views, const rpc::LocalFrame& frame,
+                                           const std::array<double, 3>& place) {
+  std::vector<rpc::PixelJacobian> cameras;
+  for (const auto& view : views) cameras.push_back(rpc::pixel_jacobian(view.rpc, frame, place));
+  return cameras;
+}
 
 /// Pixels by which a ground point moves in `b` against `a` per metre of height, at (lon, lat, h).
 double parallax(const rpc::Rpc& a, const rpc::Rpc& b, const rpc::Geodetic& p);

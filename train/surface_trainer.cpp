@@ -7,6 +7,7 @@
 #include "satsurf/ops/candidates.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/scene/view_geometry.h"
 #include "satsurf/train/augment.h"
 #include "satsurf/train/sample_batch.h"
 #include "satsurf/train/scene_stream.h"
@@ -132,10 +133,8 @@ SurfaceLesson surface_lesson(const SurfaceTrainConfig& config,
   constexpr double kFinest = 0.5, kCoarsest = 1.5;  // pixels
   const double cell =
       rng.uniform(0, 1) < 0.5 ? 1 : kFinest * std::pow(kCoarsest / kFinest, rng.uniform(0, 1));
-  std::vector<rpc::PixelJacobian> cameras;
-  for (const scene::View& v : scene.views)
-    cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, {0, 0, scene.z_range.middle()}));
-  how.resolution = cell * reconstruct::mean_footprint(cameras);
+  how.resolution = cell * reconstruct::mean_footprint(scene::cameras_at(
+                              scene.views, scene.frame, {0, 0, scene.z_range.middle()}));
   const nn::Model& cascade =
       cascades[static_cast<std::size_t>(rng.below(static_cast<Index>(cascades.size())))];
   reconstruct::UnrefinedSurface made = reconstruct::unrefined_surface(cascade, scene, how);

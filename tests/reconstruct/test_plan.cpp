@@ -2,6 +2,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/nn/config.h"
 #include "satsurf/reconstruct/plan.h"
+#include "satsurf/scene/view_geometry.h"
 
 #include <cmath>
 
@@ -152,10 +153,7 @@ TEST_CASE("views of different places are refused") {
 TEST_CASE("without a resolution cells are as large as pixels on the ground") {
   const scene::Scene scene = small_scene();
   const auto footprint_at = [&](const std::array<double, 3>& place) {
-    std::vector<rpc::PixelJacobian> cameras;
-    for (const scene::View& v : scene.views)
-      cameras.push_back(rpc::pixel_jacobian(v.rpc, scene.frame, place));
-    return mean_footprint(cameras);
+    return mean_footprint(scene::cameras_at(scene.views, scene.frame, place));
   };
   const double footprint = footprint_at({0, 0, scene.z_range.middle()});
   CHECK(footprint == doctest::Approx(0.5).epsilon(0.1));
