@@ -9,11 +9,11 @@ set(satsurf_internal_headers
   "/splat/bin\\.h$"
   "/rpc/(camera_check|gdal)\\.h$"
   "/nn/parameter_limit\\.h$"
-  "/mesh/sampled_view\\.h$"
+  "/mesh/(geometry|sampled_view)\\.h$"
   "/scene/(believable_span|grey_pyramid|height_sweep|ray_walk|satnerf|sight_lines|whu)\\.h$"
   "/scene/simulate/(city|conditions|develop|draw|dress|given|layout|natural|noise|orbit|render|texture)\\.h$"
   "/reconstruct/(cast|cell_count|cell_mode|cell_slopes|cell_surfels|cross_check|fusion|narrow|shown_pixel|surface_input|tile_cut|trust)\\.h$"
-  "/train/(sample_batch)\\.h$"
+  "/train/(draw|sample_batch)\\.h$"
   "/evaluate/score_views\\.h$")
 # Of the readers' room the engine has the cameras alone.
 set(satsurf_reader_headers "/rpc/(area|crs|drivers|geoid|ground_raster|raster|read|warp)\\.h$")

@@ -110,6 +110,9 @@ void check_comparable(const EvaluateDsmCommand& options, const evaluate::DsmPair
 }  // namespace
 
 void run_evaluate_dsm(const EvaluateDsmCommand& options, const EvaluateOutput& output) {
+  if (!options.error_map.empty() && options.error_map.extension() != ".png")
+    throw ConfigError("--error-map: " + options.error_map.string() +
+                      ", expected a name ending in .png");
   const evaluate::Registration registration = options.registration;
   std::vector<fs::path> inputs{options.dsm, options.truth};
   if (!options.classes.empty()) inputs.push_back(options.classes);

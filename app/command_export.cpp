@@ -162,6 +162,9 @@ void run_export(const ExportOptions& options) {
     PlacedMesh made = mesh_of(options);
     before = made.mesh.faces.size();
     if (options.max_faces > 0) made.mesh = mesh::simplified(made.mesh, options.max_faces);
+    if (made.mesh.faces.empty() && before > 0)
+      throw ConfigError("--max-faces: " + std::to_string(options.max_faces) + " leaves none of " +
+                        std::to_string(before) + " faces, expected more");
     return made;
   }();
   write(options.to, surface);

@@ -82,10 +82,11 @@ void print_image(const ImageFacts& image) {
   if (!image.damage.empty()) std::printf("  pixels        damaged: %s\n", image.damage.c_str());
 }
 
-/// The network, and what `train` has noted of its origin, if it did.
+/// The networks, and what `train` and the averaging of weights have noted of their origin, if they did.
 void print_weights(const WeightsFacts& w) {
   std::printf("%s\n", w.file.c_str());
   std::printf("  network       %s\n", w.network.c_str());
+  if (!w.surface.empty()) std::printf("  surface       %s\n", w.surface.c_str());
   const auto said = [&](const char* key) {
     const auto at = w.metadata.find(key);
     return at == w.metadata.end() ? std::string("unknown") : at->second;
@@ -94,9 +95,15 @@ void print_weights(const WeightsFacts& w) {
     std::printf("  training      not told in the file\n");
     return;
   }
-  std::printf("  training      %s steps on %s scenes, seed %s; %s\n", said("step").c_str(),
+  const bool of_surface = said("train").find("\"task\":\"surface\"") != std::string::npos;
+  std::printf("  training      %s%s steps on %s scenes, seed %s; %s\n",
+              of_surface ? "of the surface network, " : "", said("step").c_str(),
               said("scenes").c_str(), said("seed").c_str(), said("train").c_str());
   std::printf("  program       satsurf %s (%s)\n", said("version").c_str(), said("git").c_str());
+  for (const auto& [key, of] : {std::pair("mean_with", "of the network"),
+                                std::pair("surface_mean_with", "of the surface network")})
+    if (w.metadata.contains(key))
+      std::printf("  mean with     %s, another run: %s\n", of, said(key).c_str());
 }
 
 /// Overlap in percent of the smaller image, and parallax, for every pair with cameras; how well the
@@ -165,9 +172,9 @@ void add_info(Program& program) {
   const auto options = std::make_shared<InfoOptions>();
   Flags& flags = command.flags;
   flags.add(collect_fields(*options));
-  flags.command().get_option("images")->required();
   program.when_called(command, [&flags, options]() -> std::function<void()> {
     flags.read(collect_fields(*options));
+    if (options->images.empty()) throw CLI::RequiredError("images");
     return [options] { run_info(*options); };
   });
 }

@@ -190,13 +190,32 @@ void run_render(const RenderCommand& options) {
   write_from_above(options, render, above.field, frame);
 }
 
-/// A flag takes the place of what the file says of where to look from.
+/// What only one of the two views has to say.
+std::vector<Mode> views_of(RenderConfig& config) {
+  std::vector<Mode> views{{"--image", {}}, {"--nadir", {}}};
+  for (const FieldRef& field : collect_fields(config)) {
+    if (field.name == "image_dirs") views[0].fields.push_back(field);
+    if (field.name == "resolution" || field.name == "grid" || field.name == "show")
+      views[1].fields.push_back(field);
+  }
+  return views;
+}
+
+/// A flag takes the place of what the file says of where to look from, and of what it says of the cells.
 void read_render(const Flags& flags, RenderCommand& options) {
   RenderConfig& config = options;
   flags.read(collect_fields(options));
   read_config(flags, config);
   if (flags.given("--nadir")) config.image.clear();
   if (flags.given("--image")) config.nadir = false;
+  if (flags.given("--grid")) config.resolution = 0;
+  if (flags.given("--resolution")) config.grid.clear();
+  if (config.nadir == config.image.empty()) {
+    const std::vector<Mode> views = views_of(config);
+    refuse_others(flags, views, views[config.nadir ? 1 : 0]);
+  }
+  if (config.resolution > 0 && !config.grid.empty())
+    throw ConfigError(flags.config_file().string() + ": both resolution and grid, expected one");
   if (config.nadir && !config.image.empty())
     throw ConfigError(flags.config_file().string() + ": nadir is true and image is " +
                       config.image.string() + ", expected one of them");
@@ -223,7 +242,9 @@ void add_render(Program& program) {
   flags.add(collect_fields(*options));
   flags.add_config();
   flags.add(collect_fields(config), "Configuration");
-  flags.command().get_option("--nadir")->excludes(flags.command().get_option("--image"));
+  CLI::App& app = flags.command();
+  app.get_option("--nadir")->excludes(app.get_option("--image"));
+  app.get_option("--grid")->excludes(app.get_option("--resolution"));
   program.when_called(command, [&flags, options]() -> std::function<void()> {
     read_render(flags, *options);
     if (flags.print_config())

@@ -56,10 +56,12 @@ WeightsFacts weights_of(const fs::path& path) {
     return std::to_string(network.parameters().count()) + " weights; " +
            to_json(network.config()).dump();
   };
+  const std::optional<nn::SurfaceModel> surface = nn::surface_from(file, path.string());
   const bool mono = file.metadata.contains("mono") && !file.metadata.contains("model");
   return {path, file.metadata,
           mono ? "monocular, " + said(nn::mono_from(file, path.string()))
-               : said(nn::model_from(file, path.string()))};
+               : said(nn::model_from(file, path.string())),
+          surface ? said(*surface) : std::string()};
 }
 
 PairFacts pair_of(const Info& info, std::size_t i, std::size_t j) {
@@ -168,6 +170,7 @@ nlohmann::ordered_json info_json(const Info& info) {
     json["files"].push_back({{"path", weights.file.string()},
                              {"kind", "weights"},
                              {"network", weights.network},
+                             {"surface_network", weights.surface},
                              {"metadata", weights.metadata}});
   for (const auto& [file, why] : info.failed)
     json["files"].push_back({{"path", file.string()}, {"kind", "unreadable"}, {"error", why}});

@@ -37,6 +37,7 @@ struct WeightsFacts {
   std::filesystem::path file;
   std::map<std::string, std::string> metadata;
   std::string network;  ///< its size and configuration, in words
+  std::string surface;  ///< alike of the surface network; empty without one
 };
 /// How two images lie to each other.
 struct PairFacts {

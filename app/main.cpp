@@ -62,11 +62,8 @@ int run_program(int argc, char** argv) {
   } catch (const CLI::ExtrasError&) {
     complain(unexpected_arguments(program, app.remaining(true)));
     return kUsage;
-  } catch (const CLI::ArgumentMismatch& e) {
-    complain(missing_value(program, e.what()) + "; see satsurf --help");
-    return kUsage;
   } catch (const CLI::ParseError& e) {
-    complain(std::string(e.what()) + "; see satsurf --help");
+    complain(wrong_value(program, e.what()) + help_hint(program));
     return kUsage;
   }
   survive_file_limits();

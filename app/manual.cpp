@@ -38,6 +38,15 @@ std::string flag_text(const Flag& flag) {
   return out + "\n";
 }
 
+/// What stands on the line without a flag.
+std::string arguments_of(const Command& command) {
+  std::string out;
+  for (const Flag& flag : command.flags.all())
+    if (flag.option->get_positional())
+      out += "\\fI" + troff(flag.option->get_type_name()) + "\\fR... ";
+  return out;
+}
+
 }  // namespace
 
 std::string man_page(const Program& program) {
@@ -48,7 +57,8 @@ std::string man_page(const Program& program) {
       "surfaces from satellite images with RPC cameras\n.SH SYNOPSIS\n",
       program_version());
   for (const Command& command : program.commands)
-    out += ".B satsurf " + troff(command.flags.name()) + "\n[\\fIoptions\\fR]\n.br\n";
+    out += ".B satsurf " + troff(command.flags.name()) + "\n" + arguments_of(command) +
+           "[\\fIoptions\\fR]\n.br\n";
   out +=
       ".SH DESCRIPTION\nTwo or more satellite images with RPC cameras in, a georeferenced surface "
       "out: heights, confidence, Gaussian surfels, a mesh, rendered views and a report.\n";

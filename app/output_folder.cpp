@@ -32,7 +32,7 @@ auto attempt(const fs::path& folder, const char* what, const F& operation) {
   try {
     return operation();
   } catch (const fs::filesystem_error& e) {
-    throw IoError("out: " + folder.string() + " cannot be " + what + " (" + e.code().message() +
+    throw IoError("--out: " + folder.string() + " cannot be " + what + " (" + e.code().message() +
                   ")");
   }
 }
@@ -46,7 +46,7 @@ bool holds(const fs::path& folder, const fs::path& inner) {
 /// The absolute name, links resolved, so that renaming replaces what a link points to and not the
 /// link.
 fs::path resolved(const fs::path& folder) {
-  if (folder.empty()) throw IoError("out: the name is empty, expected a folder");
+  if (folder.empty()) throw IoError("--out: the name is empty, expected a folder");
   fs::path path =
       attempt(folder, "found", [&] { return fs::weakly_canonical(fs::absolute(folder)); });
   return path.has_filename() ? path : path.parent_path();  // "out/" is "out"
@@ -63,7 +63,7 @@ bool lies_in(const fs::path& folder, const fs::path& input) {
 }
 
 [[noreturn]] void refuse_busy(const fs::path& named, const fs::path& folder) {
-  throw IoError("out: " + named.string() + " is being worked on by another process (" +
+  throw IoError("--out: " + named.string() + " is being worked on by another process (" +
                 folder.string() + "), expected to have it alone");
 }
 
@@ -72,21 +72,21 @@ void check(const fs::path& named, const fs::path& target, bool overwrite,
   attempt(named, "read", [&] {
     if (!fs::exists(target)) return;
     if (!fs::is_directory(target))
-      throw IoError("out: " + named.string() + " is a file, expected a folder");
+      throw IoError("--out: " + named.string() + " is a file, expected a folder");
     for (const fs::path& input : inputs)
       if (!input.empty() && lies_in(target, input))
-        throw IoError("out: " + named.string() + " holds the input " + input.string() +
+        throw IoError("--out: " + named.string() + " holds the input " + input.string() +
                       ", expected a folder of its own");
     if (fs::is_empty(target)) return;
     if (!overwrite)
-      throw IoError("out: " + named.string() + " exists and is not empty; use --overwrite");
+      throw IoError("--out: " + named.string() + " exists and is not empty; use --overwrite");
     const char* home = std::getenv("HOME");
     if (holds(target, fs::current_path()) ||
         (home != nullptr && *home != '\0' && holds(target, fs::weakly_canonical(home))))
-      throw IoError("out: " + named.string() +
+      throw IoError("--out: " + named.string() +
                     " holds the working or the home folder, which --overwrite would remove");
     if (!holds_run(target))
-      throw IoError("out: " + named.string() +
+      throw IoError("--out: " + named.string() +
                     " holds no run.json of an earlier run, expected one for --overwrite; name "
                     "another folder");
     if (FolderLock(target).busy()) refuse_busy(named, target);
@@ -223,7 +223,7 @@ void OutputFolder::add_inputs(const std::vector<fs::path>& inputs) {
 OutputFolder OutputFolder::in_place(const fs::path& folder) {
   const fs::path target = resolved(folder);
   if (fs::exists(target) && !fs::is_directory(target))
-    throw IoError("out: " + folder.string() + " is a file, expected a folder");
+    throw IoError("--out: " + folder.string() + " is a file, expected a folder");
   look_around(folder, target);
   OutputFolder out(folder, target, target);
   out.lock_ = FolderLock(target);

@@ -23,7 +23,7 @@ class OutputFolder {
   ///            there: a folder that holds its run.json
   /// inputs     files and folders the run reads; none may lie in the folder or be the folder. Empty
   ///            names are passed over
-  /// throws     IoError `out: DIR exists and is not empty; use --overwrite`; also if DIR is a file,
+  /// throws     IoError `--out: DIR exists and is not empty; use --overwrite`; also if DIR is a file,
   ///            holds an input, is worked on by another process, or if overwriting would remove
   ///            something else than a run, the working folder, the home folder or one above them
   static OutputFolder staged(const std::filesystem::path& folder, bool overwrite,

@@ -23,6 +23,12 @@ std::string with_flag(std::string text, bool image_dirs) {
   return text;
 }
 
+std::string help_hint(const Program& program) {
+  const std::vector<CLI::App*> called = program.app.get_subcommands();
+  return called.empty() ? "; see satsurf --help"
+                        : "; see satsurf help " + called.front()->get_name();
+}
+
 std::string unknown_command(const Program& program, const std::string& name) {
   const std::vector<std::string> names = program.names();
   const std::optional<std::string> meant = nearest(name, names);
@@ -33,8 +39,7 @@ std::string unknown_command(const Program& program, const std::string& name) {
 std::string unexpected_arguments(const Program& program, const std::vector<std::string>& left) {
   const std::vector<CLI::App*> called = program.app.get_subcommands();
   const std::string command = called.empty() ? std::string() : called.front()->get_name();
-  const std::string hint =
-      command.empty() ? "; see satsurf --help" : "; see satsurf help " + command;
+  const std::string hint = help_hint(program);
   // what follows a mistyped flag is left over with it
   const auto flag = std::ranges::find_if(
       left, [](const std::string& text) { return text.size() > 1 && text[0] == '-'; });
@@ -66,8 +71,14 @@ std::string value_text(const Flag& flag) {
 
 }  // namespace
 
-std::string missing_value(const Program& program, const std::string& complaint) {
+std::string wrong_value(const Program& program, const std::string& complaint) {
   const std::vector<CLI::App*> called = program.app.get_subcommands();
+  constexpr std::string_view kNoTruth = "Could not convert: ", kCame = " = ";
+  if (const std::size_t at = complaint.find(kCame);
+      complaint.starts_with(kNoTruth) && at != std::string::npos)
+    return fmt::format("{} is '{}', expected true or false",
+                       complaint.substr(kNoTruth.size(), at - kNoTruth.size()),
+                       complaint.substr(at + kCame.size()));
   const std::size_t end = complaint.find(':');
   if (called.empty() || end == std::string::npos || !complaint.ends_with(" missing"))
     return complaint;

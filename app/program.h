@@ -98,16 +98,18 @@ struct AlreadyTold {};
 /// image_dirs  whether the command has `--image-dir`
 std::string with_flag(std::string text, bool image_dirs);
 
+/// Where the flags of the command that was called are told, to end a complaint.
+std::string help_hint(const Program& program);
 /// That a command is not known, and which one was meant.
 std::string unknown_command(const Program& program, const std::string& name);
 /// That arguments of a line were not expected, and what was meant by the first of them.
 /// left  what the parser could not place, in order
 std::string unexpected_arguments(const Program& program, const std::vector<std::string>& left);
 
-/// That a flag came without its value, or with too few, and what was expected. Other complaints of the
-/// parser come back as they are.
+/// That a flag came without its value, or with too few, or a switch with something else than a truth, and
+/// what was expected. Other complaints of the parser come back as they are.
 /// complaint  the parser's
-std::string missing_value(const Program& program, const std::string& complaint);
+std::string wrong_value(const Program& program, const std::string& complaint);
 
 /// Prints a configuration as --config takes it.
 template <HasFields S>

@@ -240,8 +240,9 @@ inline std::vector<WrittenFile> written_by_reconstruct() {
       {"confidence.tif",
        "confidence of the surface, 0 to 1, on the same grid, Float32, nodata -9999"},
       {"height_sigma.tif",
-       "expected error of the heights, m, on the same grid: some four fifths are within it and "
-       "19 in 20 within twice as much; only of a refined surface"},
+       "expected error of the heights, m, on the same grid: three in four or more are within it "
+       "and "
+       "more than nine in ten within twice as much; only of a refined surface"},
       {"views.tif",
        "how many images see the cell, those not counted from which the surface hides it, on the "
        "same grid, nodata 255"},
@@ -302,7 +303,8 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
       {"tiles", "in how many parts the work was done"},
       {"camera_fit_max_px", "how well the cameras were fitted, px"},
       {"planned_memory_bytes", "what the plan foresaw"},
-      {"memory_by_part", "of each part of the work: part, bytes, planned_bytes"},
+      {"memory_by_part",
+       "of each part of the work, where it was done as a whole: part, bytes, planned_bytes"},
       {"tile_table",
        "only of large images and parts of the ground: of each tile row, column, ground (least "
        "easting, least northing, largest easting, largest northing), corners (of a turned tile; "

@@ -165,7 +165,9 @@ std::string reference(const Program& program) {
          table({"Variable", "Meaning"},
                {{"SATSURF_WEIGHTS", "the weights that no --weights names, instead of the shipped"},
                 {"SATSURF_ISA",
-                 "instruction set: baseline, avx2 or avx512 instead of the best there is"}});
+                 "instruction set: baseline, avx2 or avx512 instead of the best there is"},
+                {"SATSURF_GDAL_DRIVERS",
+                 "further drivers of GDAL to trust, separated by commas, beside --gdal-drivers"}});
   out.pop_back();
   return out;
 }

@@ -58,7 +58,7 @@ std::string difference(const nlohmann::json& was, const nlohmann::json& is,
 fs::path folder_beside(const fs::path& out) {
   std::error_code error;
   fs::path path = fs::weakly_canonical(fs::absolute(out, error), error);
-  if (error) throw IoError("out: " + out.string() + " cannot be found (" + error.message() + ")");
+  if (error) throw IoError("--out: " + out.string() + " cannot be found (" + error.message() + ")");
   if (!path.has_filename()) path = path.parent_path();
   path += ".tiles";
   return path;
@@ -165,19 +165,19 @@ TileStore::TileStore(const fs::path& out, bool resume, bool overwrite)
   const bool there = is_file(folder_ / kPlan);
   if (path_exists(folder_) && !there && !(is_folder(folder_) && fs::is_empty(folder_)) &&
       !is_file(folder_ / kLock))
-    throw IoError("out: " + folder_.string() +
+    throw IoError("--out: " + folder_.string() +
                   " is in the way, expected nothing or the tiles of a stopped run there");
   if (there && !resume && !overwrite)
-    throw IoError("out: " + folder_.string() +
+    throw IoError("--out: " + folder_.string() +
                   " holds the tiles of a stopped run, expected --resume to go on with them or "
                   "--overwrite to begin anew");
   std::error_code error;
   fs::create_directories(folder_, error);
   lock_ = ::open((folder_ / kLock).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
-  if (lock_ < 0) throw IoError("out: " + folder_.string() + " cannot be written");
+  if (lock_ < 0) throw IoError("--out: " + folder_.string() + " cannot be written");
   if (::flock(lock_, LOCK_EX | LOCK_NB) != 0) {
     ::close(lock_);
-    throw IoError("out: " + folder_.string() +
+    throw IoError("--out: " + folder_.string() +
                   " is being worked on by another process, expected to have it alone");
   }
   if ((!there || !resume) && empty_store(folder_)) tell_removed(folder_);

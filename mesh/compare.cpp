@@ -4,6 +4,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/rng.h"
+#include "satsurf/mesh/geometry.h"
 
 #include <algorithm>
 #include <cmath>
@@ -14,30 +15,13 @@
 namespace satsurf::mesh {
 namespace {
 
-using Point = std::array<double, 3>;
-
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr std::array<double, 3> kThresholds{0.5, 1, 2.5};  // m
 constexpr double kLevel = 0.5;                             // |n_z| of a face that is no wall
 
-Point operator-(const Point& a, const Point& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
-double dot(const Point& a, const Point& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 Point along(const Point& a, const Point& d, double t) {
   return {a[0] + t * d[0], a[1] + t * d[1], a[2] + t * d[2]};
 }
-Point cross(const Point& a, const Point& b) {
-  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
-}
-Point wide(const std::array<float, 3>& p) {
-  return {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])};
-}
-
-std::array<Point, 3> corners(const Mesh& mesh, std::uint32_t face) {
-  const auto& f = mesh.faces[face];
-  return {wide(mesh.vertices[f[0]]), wide(mesh.vertices[f[1]]), wide(mesh.vertices[f[2]])};
-}
-/// Twice the area along the normal.
-Point doubled_area(const std::array<Point, 3>& c) { return cross(c[1] - c[0], c[2] - c[0]); }
 
 /// Squared distance of a point from a segment.
 double from_segment(const Point& p, const Point& a, const Point& b) {

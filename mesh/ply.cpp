@@ -57,7 +57,8 @@ class Reader {
  public:
   explicit Reader(const std::filesystem::path& path) : path_(path) {
     std::ifstream in;
-    if (is_file(path)) in.open(path, std::ios::binary);  // opening a pipe waits
+    require_file(path, "a PLY file");
+    in.open(path, std::ios::binary);
     if (!in.is_open()) fail("cannot be opened");
     bytes_.assign(std::istreambuf_iterator<char>(in), {});
     if (in.bad()) fail("cannot be read");

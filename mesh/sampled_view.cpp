@@ -3,6 +3,7 @@
 
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/mesh/geometry.h"
 
 #include <algorithm>
 #include <cmath>
@@ -20,13 +21,6 @@ constexpr double kLeastCosine = 0.03;
 // Behind a surface a view's word counts fully for one voxel, which evens out noise, and little from
 // 2.5 on: enough against a single wrong pixel, not enough to push a wall.
 constexpr double kFull = 1, kFaded = 2.5, kBehind = 0.01;
-
-using Vector = std::array<double, 3>;
-
-Vector cross(const Vector& a, const Vector& b) {
-  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
-}
-double dot(const Vector& a, const Vector& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 }  // namespace
 
@@ -83,7 +77,7 @@ SampledView::SampledView(const HeightImage& view, const FusionOptions& options)
 
 void SampledView::weigh(const Tensor& confidence) {
   // Step from the neighbour before to the one behind, as far as they are known.
-  const auto step = [&](Index p, Index stride, bool before, bool behind) -> Vector {
+  const auto step = [&](Index p, Index stride, bool before, bool behind) -> Point {
     const auto known = [&](Index q) { return std::isfinite(z(q)); };
     const Index a = before && known(p - stride) ? p - stride : p,
                 b = behind && known(p + stride) ? p + stride : p;
@@ -103,12 +97,12 @@ void SampledView::weigh(const Tensor& confidence) {
       // The ray's direction changes by far less than a degree within a row.
       const auto j =
           localisation_.jacobian(static_cast<double>(W_ - 1) / 2, static_cast<double>(r), 0);
-      const Vector ray{j[0][2], j[1][2], 1};
+      const Point ray{j[0][2], j[1][2], 1};
       for (Index c = 0; c < W_; ++c) {
         const Index p = r * W_ + c;
         Sample& s = samples_[static_cast<std::size_t>(p)];
         if (!std::isfinite(s.z)) continue;
-        const Vector n = cross(step(p, 1, c > 0, c + 1 < W_), step(p, W_, r > 0, r + 1 < H_));
+        const Point n = cross(step(p, 1, c > 0, c + 1 < W_), step(p, W_, r > 0, r + 1 < H_));
         const double length = std::sqrt(dot(n, n) * dot(ray, ray));
         const double cosine = length > 0 ? std::abs(dot(n, ray)) / length : 0;
         if (!(cosine >= kLeastCosine) || stands_out(p, 1, c > 0 && c + 1 < W_) ||

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/dims.h"
 #include "satsurf/core/error.h"
+#include "satsurf/mesh/geometry.h"
 
 #include <algorithm>
 #include <array>
@@ -78,20 +79,6 @@ std::vector<Triple> means(const std::vector<Triple>& values,
   return out;
 }
 
-/// Normals of the vertices: of their faces, by area.
-void add_normals(Mesh& mesh) {
-  mesh.normals.assign(mesh.vertices.size(), {0, 0, 0});
-  for (const auto& face : mesh.faces) {
-    const Triple &a = mesh.vertices[face[0]], &b = mesh.vertices[face[1]],
-                 &c = mesh.vertices[face[2]];
-    const Triple u{b[0] - a[0], b[1] - a[1], b[2] - a[2]}, v{c[0] - a[0], c[1] - a[1], c[2] - a[2]};
-    const Triple n{u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
-    for (const std::uint32_t corner : face)
-      for (std::size_t k = 0; k < 3; ++k) mesh.normals[corner][k] += n[k];
-  }
-  for (Triple& n : mesh.normals) normalise(n);
-}
-
 }  // namespace
 
 Mesh simplified(const Mesh& mesh, Index most) {
@@ -162,7 +149,7 @@ Mesh mesh_from_heights(const Tensor& z, double x0, double y0, double step, const
     }
   if (out.faces.empty())
     throw Error("mesh_from_heights: no three neighbouring cells have heights, expected a surface");
-  add_normals(out);
+  find_normals(out);
   return out;
 }
 

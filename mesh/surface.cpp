@@ -3,6 +3,7 @@
 
 #include "satsurf/core/error.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/mesh/geometry.h"
 
 #include <algorithm>
 #include <cmath>
@@ -21,7 +22,6 @@ namespace {
 
 using Leaf = openvdb::FloatTree::LeafNodeType;
 using Triangle = std::array<std::uint32_t, 3>;
-using Point = std::array<double, 3>;
 
 constexpr Index kTile = Tsdf::kTile;
 static_assert(kTile == Index{Leaf::DIM});
@@ -103,25 +103,10 @@ openvdb::FloatTree::Ptr tree_of(const Tsdf& field) {
   return tree;
 }
 
-Point point(const Mesh& mesh, std::uint32_t v) {
-  const auto& p = mesh.vertices[v];
-  return {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])};
-}
-
-/// Twice the area of a face, along its normal.
-Point doubled_area(const Mesh& mesh, const Triangle& f) {
-  const Point a = point(mesh, f[0]), b = point(mesh, f[1]), c = point(mesh, f[2]);
-  const Point u{b[0] - a[0], b[1] - a[1], b[2] - a[2]}, v{c[0] - a[0], c[1] - a[1], c[2] - a[2]};
-  return {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
-}
-
-double length(const Point& p) { return std::sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]); }
-
 /// Two triangles, cut along the shorter diagonal.
 void add_quad(Mesh& mesh, std::uint32_t a, std::uint32_t b, std::uint32_t c, std::uint32_t d) {
   const auto distance = [&](std::uint32_t p, std::uint32_t q) {
-    const Point x = point(mesh, p), y = point(mesh, q);
-    return length({x[0] - y[0], x[1] - y[1], x[2] - y[2]});
+    return length(wide(mesh.vertices[p]) - wide(mesh.vertices[q]));
   };
   if (distance(a, c) <= distance(b, d)) {
     mesh.faces.push_back({a, b, c});
@@ -146,7 +131,8 @@ void drop_small_pieces(Mesh& mesh, double least_area) {
       parent[std::max(a, b)] = std::min(a, b);
     }
   std::vector<double> area(mesh.vertices.size(), 0.0);
-  for (const Triangle& f : mesh.faces) area[root(f[0])] += 0.5 * length(doubled_area(mesh, f));
+  for (const Triangle& f : mesh.faces)
+    area[root(f[0])] += 0.5 * length(doubled_area(corners(mesh, f)));
   const double largest = area.empty() ? 0 : *std::max_element(area.begin(), area.end());
   const double least = std::min(least_area, largest);
   std::erase_if(mesh.faces, [&](const Triangle& f) { return area[root(f[0])] < least; });
@@ -164,22 +150,6 @@ void drop_small_pieces(Mesh& mesh, double least_area) {
   mesh.vertices.resize(next);
   for (Triangle& f : mesh.faces)
     for (std::uint32_t& v : f) v = number[v];
-}
-
-/// Normals of vertices: of their faces, weighted by area.
-void find_normals(Mesh& mesh) {
-  std::vector<Point> sum(mesh.vertices.size(), Point{0, 0, 0});
-  for (const Triangle& f : mesh.faces) {
-    const Point n = doubled_area(mesh, f);
-    for (const std::uint32_t v : f)
-      for (std::size_t a = 0; a < 3; ++a) sum[v][a] += n[a];
-  }
-  mesh.normals.resize(sum.size());
-  for (std::size_t v = 0; v < sum.size(); ++v) {
-    const double l = length(sum[v]);
-    for (std::size_t a = 0; a < 3; ++a)
-      mesh.normals[v][a] = l > 0 ? static_cast<float>(sum[v][a] / l) : (a == 2 ? 1.f : 0.f);
-  }
 }
 
 /// Vertices and faces, both none where there is no surface.

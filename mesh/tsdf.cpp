@@ -135,6 +135,16 @@ void place_tiles(Tsdf& field, const std::vector<SampledView>& views) {
   for (const SampledView& v : views) area = std::max(area, v.area());
   check_voxels(area / (field.voxel * field.voxel) * layers);
   const double margin = field.truncation * reach + 2;  // voxels
+  // Of a tile its place and, while they are found, its lowest and highest layer.
+  constexpr double kTileBytes = sizeof(Tsdf::Tile) + 2 * sizeof(int);
+  const auto tiles = [&](std::size_t a) {
+    return ((high[a] - low[a]) / field.voxel + 2 * margin) / kTile + 2;
+  };
+  char extent[120];
+  std::snprintf(extent, sizeof extent, "fuse: %.0f x %.0f m in voxels of %g m need",
+                high[0] - low[0], high[1] - low[1], field.voxel);
+  check_memory(extent, kTileBytes * tiles(0) * tiles(1),
+               "give larger voxels, or views of one place");
   const auto first = [&](double x) {
     return static_cast<Index>(std::floor((x / field.voxel - margin) / kTile)) * kTile;
   };

@@ -11,7 +11,8 @@
 namespace satsurf::nn {
 
 std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,
-                                       Index width, Wanted wanted) {
+                                       Index width, Wanted wanted, int workers) {
+  if (workers == 0) workers = threads();
   const double N = static_cast<double>(views), b = static_cast<double>(config.base),
                v = static_cast<double>(config.volume_base),
                pixels = static_cast<double>(height * width);
@@ -58,7 +59,7 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
     // Of one view the features' pixels, and two bands of the volume with what the first convolution
     // makes of all, or the sum at the U-Net's end; then logits, their concatenation and the
     // probabilities of all views.
-    const double scratch = std::min(kScratch * threads(), 0.25 * D * p * v * pixels) / pixels;
+    const double scratch = std::min(kScratch * workers, 0.25 * D * p * v * pixels) / pixels;
     const double first = bands_of(s) / (p * pixels) + D * v;
     const double volume = N * D + N * C + std::max(first, 2.3 * D * v),
                  distribution = 2 * N * D + 2 * N;
@@ -80,9 +81,9 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
 }
 
 double forward_bytes(const ModelConfig& config, Index views, Index height, Index width,
-                     Wanted wanted) {
+                     Wanted wanted, int workers) {
   double most = 0;
-  for (const PartMemory& part : forward_memory(config, views, height, width, wanted))
+  for (const PartMemory& part : forward_memory(config, views, height, width, wanted, workers))
     most = std::max(most, part.bytes);
   return most;
 }

@@ -20,12 +20,14 @@ struct PartMemory {
 /// What `BasicModel::forward` takes without a tape, foreseen from the sizes of features, volumes,
 /// heads and surfels.
 /// height, width  of the views, image pixels
+/// workers        threads of the pass; 0 for `threads()`
 /// returns        the parts in the order of the pass, each within a tenth
 std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, Index height,
-                                       Index width, Wanted wanted = Wanted::surfels);
+                                       Index width, Wanted wanted = Wanted::surfels,
+                                       int workers = 0);
 /// The largest part.
 double forward_bytes(const ModelConfig& config, Index views, Index height, Index width,
-                     Wanted wanted = Wanted::surfels);
+                     Wanted wanted = Wanted::surfels, int workers = 0);
 
 /// Notes the most tensor bytes of one part after the other, beyond those at its construction.
 class MemoryMeter {

@@ -52,6 +52,10 @@ void check_hypotheses(const ModelConfig& config) {
   if (config.hypotheses[0] == 0)
     throw ConfigError("model: no hypotheses at the first stage, expected " +
                       std::to_string(halved) + " or more: there is nothing to interpolate");
+  if (config.interval_min > config.interval_max)
+    throw ConfigError("model: interval_min is " + std::to_string(config.interval_min) +
+                      ", expected no more than interval_max, which is " +
+                      std::to_string(config.interval_max));
 }
 
 /// Means of stride x stride pixels; nothing of nothing.

@@ -2,6 +2,7 @@
 #include "satsurf/nn/running_mean.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
 #include <utility>
 
@@ -50,6 +51,8 @@ void RunningMean::load(const TensorFile& file, const std::string& where) {
     if (it == file.tensors.end() || it->second.shape() != mean_[i].shape())
       throw IoError(where + ": " + name + " is missing or of another shape, expected " +
                     mean_[i].shape().str());
+    if (!std::ranges::all_of(it->second.values(), [](float v) { return std::isfinite(v); }))
+      throw IoError(where + ": " + name + " has a value that is not finite, expected weights");
     mean_[i] = it->second.clone();
   }
 }

@@ -31,9 +31,9 @@ struct SearchOutput {
 };
 
 /// The search of one stage. Every view in turn is the reference of a variance volume, which a 3D
-/// U-Net turns into logits; these give the distribution of heights, their mean H_s and the
-/// confidence C_s. A stage without hypotheses takes heights and confidence of the one before,
-/// bilinear.
+/// U-Net turns into logits; these give the distribution of heights, its mean or the height of its
+/// mode for H_s, as `ModelConfig::height` says, and the confidence C_s. A stage without hypotheses
+/// takes heights and confidence of the one before, bilinear.
 template <class T>
 class HeightSearch {
  public:

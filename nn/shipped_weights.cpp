@@ -11,9 +11,9 @@ namespace satsurf::nn {
 namespace fs = std::filesystem;
 
 fs::path shipped_weights(ShippedNetwork network, const std::string& hint, const fs::path& folder) {
-  const bool surface = network == ShippedNetwork::cascade;
+  const bool cascade = network == ShippedNetwork::cascade;
   if (const char* named = std::getenv("SATSURF_WEIGHTS");
-      surface && named != nullptr && *named != '\0')
+      cascade && named != nullptr && *named != '\0')
     return named;
   std::error_code ignored;
   const fs::path program = fs::read_symlink("/proc/self/exe", ignored).parent_path();
@@ -22,11 +22,11 @@ fs::path shipped_weights(ShippedNetwork network, const std::string& hint, const 
   for (const fs::path& place : {program.parent_path() / "share/satsurf", sources / "nn/weights",
                                 folder, fs::path(SATSURF_INSTALLED_WEIGHTS)}) {
     if (place.empty()) continue;
-    const fs::path file = place / (surface ? "wide8.safetensors" : "mono12.safetensors");
+    const fs::path file = place / (cascade ? "wide8.safetensors" : "mono12.safetensors");
     if (fs::exists(file)) return file;
     looked += (looked.empty() ? "" : ", ") + file.string();
   }
-  throw IoError(std::string(surface ? "weights" : "monocular weights") +
+  throw IoError(std::string(cascade ? "weights" : "monocular weights") +
                 ": none found, expected one of " + looked + "; " + hint);
 }
 

@@ -18,7 +18,7 @@ enum class ShippedNetwork {
 };
 
 /// The file of its weights: the one that the environment variable SATSURF_WEIGHTS names if it is the
-/// surface network, else the one in the first of these folders that has it:
+/// cascade, else the one in the first of these folders that has it:
 ///   share/satsurf of the installation that the running program belongs to, as PREFIX/bin/PROGRAM
 ///   nn/weights of the sources that it was built in, as build/PRESET/bin/PROGRAM
 ///   `folder`, by default that of the package with which CMake built the calling program

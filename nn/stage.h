@@ -31,7 +31,7 @@ struct StageHeights {
   double interval = 0;          ///< between hypotheses, m
   BasicTensor<T> hypotheses{};  ///< [N D h w] m; empty where the stage does not search (D = 0)
   BasicVar<T> probability{};    ///< [N D h w] over the hypotheses, P_s; empty alike
-  BasicVar<T> height{};         ///< [N h w] expected height H_s, m in the local frame
+  BasicVar<T> height{};         ///< [N h w] height H_s (see HeightOf), m in the local frame
   BasicVar<T> confidence{};     ///< [N h w] max probability C_s
   Index choices = 0;  ///< hypotheses behind the confidence: D, or those of the stage before
   /// [N h w] probability that the surface lies within an interval of H_s, given all stages so far;

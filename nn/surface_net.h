@@ -22,22 +22,26 @@ enum class SurfaceCandidate : Index {
 inline constexpr Index kSurfaceCandidates = 6;
 
 /// What else is known of every cell: where each kind of plane begins. Unitless and of order 1, and
-/// the same whichever way the grid is turned.
+/// the same whichever way the grid is turned. Surfels are those that reach the cell, each with its
+/// weight times the overlap; without any their planes are 0. Of the images that show a place the first
+/// 16 count. `views` to `range` are read at the mode, where there is none at `around`; 0 where no image
+/// shows that.
 enum class SurfacePlane : Index {
-  disagreement = 0,                     ///< K: of the images where they show each candidate
-  best_pair = kSurfaceCandidates,       ///< K: of the two of them that agree best
+  /// K: mean difference of all pairs of the images that show each candidate, halved; 1 without a pair.
+  disagreement = 0,
+  best_pair = kSurfaceCandidates,  ///< K: difference of the two that agree best; 1 without a pair
   mode_share = 2 * kSurfaceCandidates,  ///< of the surfels' weight, what the mode's members have
   second_share,                         ///< and the second's
-  weight,                               ///< log(1 + weight of all surfels)
-  confidence,                           ///< their mean
-  spread,                               ///< of their heights
-  views,                                ///< images that show the mode, a quarter of their number
-  red,                                  ///< mean colours there, standardised
+  weight,                               ///< 0.5 log(1 + weight of all surfels per m^2)
+  confidence,                           ///< their mean, by weight
+  spread,  ///< 0.5 asinh(s / interval), s the standard deviation of their heights, m
+  views,   ///< images that show the cell, a quarter of their number
+  red,     ///< mean colours there, standardised
   green,
   blue,
-  darkest,  ///< of the images there
+  darkest,  ///< of the images there, the mean of its colours
   range,    ///< between the darkest and the brightest of them
-  cell,     ///< logarithm of the cell's size in pixels
+  cell,     ///< logarithm of the cell's size in pixels on the ground
   count     ///< number of planes
 };
 inline constexpr Index kSurfacePlanes = static_cast<Index>(SurfacePlane::count);

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 #include <span>
+#include <utility>
 
 namespace satsurf::reconstruct {
 namespace {
@@ -33,6 +34,16 @@ std::size_t densest(std::span<const CellCandidate> sorted, double b) {
   return at;
 }
 
+/// Those within b of the densest place.
+/// sorted  by height, one or more
+auto members_of(std::vector<CellCandidate>& sorted, double b) {
+  const double mode = sorted[densest(sorted, b)].z;
+  const auto first = std::partition_point(sorted.begin(), sorted.end(),
+                                          [&](const auto& c) { return c.z < mode - b; });
+  return std::pair(first, std::partition_point(first, sorted.end(),
+                                               [&](const auto& c) { return c.z <= mode + b; }));
+}
+
 }  // namespace
 
 CellMode densest_mode(std::vector<CellCandidate>& candidates, double b) {
@@ -43,11 +54,7 @@ CellMode densest_mode(std::vector<CellCandidate>& candidates, double b) {
   // On most cells all agree, and then all are members whichever is the densest.
   if (high->z - low->z > b) {
     std::sort(candidates.begin(), candidates.end(), lower);
-    const double mode = candidates[densest(candidates, b)].z;
-    const auto first = std::partition_point(candidates.begin(), candidates.end(),
-                                            [&](const auto& c) { return c.z < mode - b; }),
-               last = std::partition_point(first, candidates.end(),
-                                           [&](const auto& c) { return c.z <= mode + b; });
+    const auto [first, last] = members_of(candidates, b);
     members = {first, last};
   }
   double all = 0, weight = 0, z = 0, confidence = 0;
@@ -85,11 +92,7 @@ CellSummary summary_of(std::vector<CellCandidate>& candidates, double b) {
 
   // The members of a mode, taken out of the list.
   const auto take = [&](CellMode& mode, double& share) {
-    const double middle = candidates[densest(candidates, b)].z;
-    const auto first = std::partition_point(candidates.begin(), candidates.end(),
-                                            [&](const auto& c) { return c.z < middle - b; }),
-               last = std::partition_point(first, candidates.end(),
-                                           [&](const auto& c) { return c.z <= middle + b; });
+    const auto [first, last] = members_of(candidates, b);
     double weight = 0, height = 0, confidence = 0;
     for (auto c = first; c != last; ++c)
       weight += c->weight, height += c->weight * c->z, confidence += c->weight * c->confidence;

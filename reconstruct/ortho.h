@@ -34,7 +34,8 @@ Visibility find_visibility(const scene::HeightField& surface,
 /// surface, images  as for `find_visibility`
 /// pixels           of one of the images by its number, [C h w], asked for once and only where it is
 ///                  the best of a cell; all of the same number of channels
-/// returns          [C H W], between pixels linear; NaN where no image sees the cell
+/// returns          [C H W], between pixels linear; NaN where no image sees the cell; empty if none
+///                  sees any
 /// throws           ShapeError for pixels of another size than the image
 Tensor orthophoto(const scene::HeightField& surface, const std::vector<nn::PosedImage>& images,
                   const Visibility& visibility, const std::function<Tensor(Index)>& pixels);

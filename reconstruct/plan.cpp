@@ -143,14 +143,16 @@ WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surfa
   constexpr double kFuse = 18, kFused = 5;       // floats a surfel, floats a cell, to fuse
   constexpr double kRefine = 3, kRefined = 133;  // alike, to refine
   constexpr double kHeights = 9, kMesh = 84;     // floats a pixel, floats a column of voxels
+  constexpr int kWorkers = 16;  // whatever there are: sizes of tiles must not depend on them
   const Index views = size.views;
   const double pixels = size.pixels, cells = size.cells;
   const Index height = size.window.height, width = size.window.width;
   const double window = static_cast<double>(size.window.count()) * static_cast<double>(views);
   const nn::Wanted wanted = wanted_of(surface);
-  std::vector<nn::PartMemory> parts = nn::forward_memory(model, views, height, width, wanted);
+  std::vector<nn::PartMemory> parts =
+      nn::forward_memory(model, views, height, width, wanted, kWorkers);
   const double network =
-      nn::forward_bytes(model, views, height, width, wanted) +
+      nn::forward_bytes(model, views, height, width, wanted, kWorkers) +
       sizeof(float) * (kView * window + kSurfel * (pixels - std::min(pixels, window)));
   const double render =
       sizeof(float) * (surface == Surface::splat     ? kSplat * pixels + kMaps * cells
@@ -254,7 +256,7 @@ double span_of_hypotheses(const nn::ModelConfig& config,
 void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {
   const auto times = [](Index a, Index b) { return std::to_string(a) + " x " + std::to_string(b); };
   satsurf::check_memory(std::to_string(scene.views.size()) + " windows of " +
-                            times(plan.window.height, plan.window.width) + " px and a surface of " +
+                            times(plan.window.width, plan.window.height) + " px and a surface of " +
                             times(plan.width, plan.height) + " cells need",
                         plan.surface_bytes, "give smaller images or a coarser resolution",
                         static_cast<double>(tensor_bytes()));  // the images are read

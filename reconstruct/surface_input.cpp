@@ -115,7 +115,7 @@ void spread_over_cells(const Tensor& blocks, Index side, const FusionGrid& grid,
   });
 }
 
-constexpr std::size_t kMostImages = 16;  ///< that are looked at
+constexpr std::size_t kMostImages = 16;  ///< that are looked at in one place
 
 /// One image at one point.
 struct Look {
@@ -128,9 +128,9 @@ class Appearance {
  public:
   /// Keeps a reference to the images.
   explicit Appearance(const std::vector<nn::PosedImage>& images) : images_(images) {
-    for (std::size_t i = 0; i < std::min(images.size(), kMostImages); ++i) {
-      local_.push_back(nn::locally_normalised<float>(images[i]));
-      colour_.push_back(nn::standardised<float>(images[i]));
+    for (const nn::PosedImage& image : images) {
+      local_.push_back(nn::locally_normalised<float>(image));
+      colour_.push_back(nn::standardised<float>(image));
     }
   }
   std::size_t count() const { return local_.size(); }
@@ -243,7 +243,7 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
         const auto z = static_cast<double>(candidate[k * P + cell]);
         std::size_t n = 0;
         if (std::isfinite(z))
-          for (std::size_t v = 0; v < appearance.count(); ++v)
+          for (std::size_t v = 0; v < appearance.count() && n < kMostImages; ++v)
             if (appearance.look(v, x, y, z, k == shown, looks[n])) ++n;
         const Disagreement d = disagreement_of(looks, n);
         plane[(at(SurfacePlane::disagreement) + k) * P + cell] = static_cast<float>(d.mean);

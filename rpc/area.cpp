@@ -216,6 +216,10 @@ DatasetPtr open_vector(const fs::path& path) {
   if (package && why.find("integer overflow") != std::string::npos)
     throw IoError(path.string() +
                   ": holds views, expected tables alone; ogr2ogr makes one of a view");
+  if (driver == nullptr)
+    if (const std::string format = format_of(path.string(), GDAL_OF_VECTOR); !format.empty())
+      throw IoError(path.string() + ": of the format " + format +
+                    ", expected GeoJSON, GeoPackage, a shapefile or alike" + allow_text(format));
   throw IoError(path.string() +
                 ": not a vector file that can be read, expected GeoJSON, GeoPackage, a shapefile "
                 "or alike; " +

@@ -136,15 +136,19 @@ void register_drivers() {
   static_cast<void>(done);
 }
 
-std::string format_of(const std::string& name) {
-  if (const GDALDriverH found =
-          GDALIdentifyDriverEx(name.c_str(), GDAL_OF_RASTER, nullptr, nullptr))
+std::string allow_text(const std::string& driver) {
+  return driver.empty() ? "" : "; SATSURF_GDAL_DRIVERS=" + driver + " in the environment allows it";
+}
+
+std::string format_of(const std::string& name, unsigned kind) {
+  const char* able = kind == GDAL_OF_RASTER ? GDAL_DCAP_RASTER : GDAL_DCAP_VECTOR;
+  if (const GDALDriverH found = GDALIdentifyDriverEx(name.c_str(), kind, nullptr, nullptr))
     return GDALGetDriverShortName(found);
   SetAside& aside = set_aside();
   const std::lock_guard lock(aside.mutex);
-  GDALOpenInfo info(name.c_str(), GDAL_OF_RASTER | GDAL_OF_READONLY);
+  GDALOpenInfo info(name.c_str(), static_cast<int>(kind | GDAL_OF_READONLY));
   for (GDALDriver* driver : aside.drivers)
-    if (driver->pfnIdentify != nullptr && driver->GetMetadataItem(GDAL_DCAP_RASTER) != nullptr &&
+    if (driver->pfnIdentify != nullptr && driver->GetMetadataItem(able) != nullptr &&
         driver->pfnIdentify(&info) > 0)
       return driver->GetDescription();
   return "";

@@ -60,9 +60,11 @@ void register_drivers();
 /// `trusted_drivers`.
 std::vector<std::string> raster_drivers();
 std::vector<std::string> vector_drivers();
-/// The driver that would open a raster, by the beginning of its file, whether it may or not; empty if
-/// none would.
-std::string format_of(const std::string& name);
+/// The driver that would open a file, by its beginning, whether it may or not; empty if none would.
+/// kind  GDAL_OF_RASTER or GDAL_OF_VECTOR
+std::string format_of(const std::string& name, unsigned kind = GDAL_OF_RASTER);
+/// How to let a driver open files, to end a complaint; nothing for one without a name.
+std::string allow_text(const std::string& driver);
 
 /// A list as GDAL takes them, ended by a null pointer. The texts stay with their owner.
 std::vector<const char*> list_of(const std::vector<std::string>& texts);

@@ -16,10 +16,6 @@ namespace {
 namespace fs = std::filesystem;
 
 /// What the user can do about a driver that is not among them.
-std::string allow_text(const std::string& driver) {
-  return driver.empty() ? "" : "; SATSURF_GDAL_DRIVERS=" + driver + " in the environment allows it";
-}
-
 bool is_allowed(const std::string& driver) {
   return std::ranges::any_of(raster_drivers(), [&](const std::string& name) {
     return EQUAL(name.c_str(), driver.c_str());

@@ -50,7 +50,8 @@ std::vector<Sidecar> sidecars_of(const fs::path& path) {
                            {stem + "_RPC.TXT", "_RPC.TXT", ""},
                            {stem + "_rpc.txt", "_RPC.TXT", ""},
                            {stem + ".rpc", ".rpc file", ""},
-                           {path.filename().string() + ".aux.xml", ".aux.xml", "\"RPC\""}};
+                           {path.filename().string() + ".aux.xml", ".aux.xml", "\"RPC\""},
+                           {"RPC_" + stem + ".XML", "DIMAP", "<Global_RFM>"}};
   for (const char* prefix : {"IMG_", "DIM_"})
     if (stem.starts_with(prefix)) {
       std::string rest = stem.substr(4);

@@ -64,7 +64,8 @@ std::vector<std::string_view> words(std::string_view line) {
 class Reader {
  public:
   explicit Reader(const std::filesystem::path& path) : path_(path) {
-    if (is_file(path)) in_.open(path, std::ios::binary);  // opening a pipe waits
+    require_file(path, "a PLY file");
+    in_.open(path, std::ios::binary);
     if (!in_.is_open()) fail("cannot be opened");
   }
 
@@ -226,7 +227,8 @@ class Reader {
           fail("more than " + std::to_string(kMostProperties) + " properties");
         properties_.emplace_back(word[2]);
       } else {
-        fail("'" + text.substr(0, 60) + "', expected one vertex element of float properties");
+        fail("'" + text.substr(0, 60) +
+             "', expected surfels, one vertex element of float properties");
       }
     }
     if (!has_vertices) fail("no vertex element");

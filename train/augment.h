@@ -1,10 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/fields.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/nn/input.h"
 
 namespace satsurf::train {
+
+/// How unlike themselves the images are made that a network is shown.
+struct AugmentConfig {
+  double grey_share = 0.4;   ///< share of the samples made panchromatic
+  double radiometry = 0.15;  ///< random gain, offset and gamma of a sample
+
+  template <class Self, class V>
+  static void fields(Self& s, V&& v) {
+    v("grey_share", s.grey_share,
+      Field{.help = "share of the samples made panchromatic", .min = 0, .max = 1});
+    v("radiometry", s.radiometry,
+      Field{.help = "random gain, offset and gamma of a sample", .min = 0, .max = 0.9});
+  }
+};
 
 /// How a sample's images are made to look: c -> gain c^gamma + offset, clipped to [0, 1].
 struct Radiometry {

@@ -26,7 +26,7 @@ struct satsurf::EnumNames<satsurf::train::GeoTarget> {
 
 namespace satsurf::train {
 
-/// What the surface network is trained for.
+/// What the cascade is trained for.
 struct LossConfig {
   std::array<double, 3> stage_weight{0.5, 1, 2};  ///< of the stages' losses, coarse to fine
   double height_weight = 1;                       ///< smooth-L1 of the stage heights, per metre
@@ -76,6 +76,7 @@ struct LossConfig {
     v("appearance_warmup", s.appearance_warmup,
       Field{.help = "steps in which appearance counts everywhere", .min = 0});
   }
+  friend bool operator==(const LossConfig&, const LossConfig&) = default;
 };
 
 /// The objective that belongs to a model preset (nn/config.h):
@@ -105,7 +106,9 @@ struct LossReport {
   Var total;               ///< scalar
   double height_mae = 0;   ///< of the last stage's heights against the truth, m; NaN without truth
   double colour_psnr = 0;  ///< of the target rendered from the last stage, dB; NaN without a target
-  double confident = 0;    ///< share of the last stage's valid pixels that appearance is routed to
+  /// Share of the target's pixels in which the last stage's surface is opaque that appearance is
+  /// routed to; NaN without a target.
+  double confident = 0;
 };
 
 /// The training objective:

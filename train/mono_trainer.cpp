@@ -8,6 +8,7 @@
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/ssi_loss.h"
 #include "satsurf/train/augment.h"
+#include "satsurf/train/draw.h"
 
 #include <algorithm>
 #include <cmath>
@@ -49,12 +50,8 @@ MonoSample window(const MonoTrainConfig& config, const std::vector<scene::Scene>
         scenes[static_cast<std::size_t>(rng.below(static_cast<Index>(scenes.size())))];
     const Index number = rng.below(static_cast<Index>(scene.views.size()));
     const scene::View& from = scene.views[static_cast<std::size_t>(number)];
-    const auto inner =
-        [&](Index extent) {  // the window lies inside where the image is large enough
-          const double half = 0.5 * static_cast<double>(std::min(config.crop, extent));
-          return rng.uniform(half - 0.5, std::max(half, static_cast<double>(extent) - half) - 0.5);
-        };
-    const double px = inner(from.rgb.dim(2)), py = inner(from.rgb.dim(1));
+    const double px = window_middle(config.crop, from.rgb.dim(2), rng),
+                 py = window_middle(config.crop, from.rgb.dim(1), rng);
     const double z = scene.z_range.middle();  // any: it is this view's own pixel
     const auto at =
         scene.frame.local_from_geodetic(from.rpc.localize({px, py}, z + scene.frame.h0));

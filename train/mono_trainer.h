@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/nn/mono.h"
+#include "satsurf/train/augment.h"
 #include "satsurf/train/training.h"
 
 #include <filesystem>
@@ -12,7 +13,7 @@
 namespace satsurf::train {
 
 /// Everything the training of the monocular network depends on besides data and seed.
-struct MonoTrainConfig : TrainingSettings {
+struct MonoTrainConfig : TrainingSettings, AugmentConfig {
   nn::MonoConfig mono;
   Index batch = 2;               ///< windows per step
   double gradient_weight = 0.5;  ///< of the gradient loss; that of the distance is 1
@@ -32,6 +33,7 @@ struct MonoTrainConfig : TrainingSettings {
     TrainingSettings::fields(s, v);
     v("mono", s.mono, Field{.help = "monocular network"});
     v("batch", s.batch, Field{.help = "windows per step", .min = 1, .max = 64});
+    AugmentConfig::fields(s, v);
     v("gradient_weight", s.gradient_weight,
       Field{.help = "weight of the gradient loss of relative heights", .min = 0});
     v("least_relief", s.least_relief,

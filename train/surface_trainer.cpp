@@ -8,7 +8,7 @@
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/scene/view_geometry.h"
-#include "satsurf/train/augment.h"
+#include "satsurf/train/draw.h"
 #include "satsurf/train/sample_batch.h"
 #include "satsurf/train/scene_stream.h"
 #include "satsurf/train/stream.h"
@@ -16,7 +16,6 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
-#include <numeric>
 #include <optional>
 #include <utility>
 
@@ -117,14 +116,11 @@ class SurfaceTask : public TrainingTask {
 
 SurfaceLesson surface_lesson(const SurfaceTrainConfig& config,
                              const std::vector<nn::Model>& cascades, scene::Scene scene, Rng rng) {
-  std::vector<std::size_t> order(scene.views.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  for (std::size_t i = order.size(); i-- > 1;)
-    std::swap(order[i], order[static_cast<std::size_t>(rng.below(static_cast<Index>(i) + 1))]);
+  std::vector<Index> order = shuffled(std::ssize(scene.views), rng);
   const Index most = std::min(config.views_most, static_cast<Index>(order.size()));
   order.resize(static_cast<std::size_t>(2 + rng.below(most - 1)));
   std::vector<scene::View> views;
-  for (const std::size_t i : order) views.push_back(std::move(scene.views[i]));
+  for (const Index i : order) views.push_back(std::move(scene.views[static_cast<std::size_t>(i)]));
   scene.views = std::move(views);
   const double span = scene.z_range.span();
   scene.z_range.low -= rng.uniform(0, config.range_jitter) * span;

@@ -5,13 +5,13 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/train/augment.h"
+#include "satsurf/train/draw.h"
 #include "satsurf/train/loss.h"
 #include "satsurf/train/sample_batch.h"
 
 #include <algorithm>
 #include <cmath>
 #include <memory>
-#include <numeric>
 #include <optional>
 
 namespace satsurf::train {
@@ -76,22 +76,15 @@ scene::Crop cut_sample(const TrainConfig& config, const DrawScene& draw, std::ui
   for (int attempt = 0; attempt < kTries; ++attempt) {
     const std::shared_ptr<const scene::Scene> drawn = draw(rng);
     const scene::Scene& scene = *drawn;
-    std::vector<Index> order(scene.views.size());
-    std::iota(order.begin(), order.end(), Index{0});
-    for (std::size_t i = order.size(); i-- > 1;)
-      std::swap(order[i], order[static_cast<std::size_t>(rng.below(static_cast<Index>(i) + 1))]);
+    const std::vector<Index> order = shuffled(std::ssize(scene.views), rng);
     const auto N = static_cast<std::size_t>(config.views);
     const std::vector<Index> sources(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(N));
 
-    // Around a random pixel of the first source, far enough inside for the window where the image
-    // is large enough.
+    // Around a random pixel of the first source.
     const scene::HeightField& truth = *scene.truth;
     const scene::View& first = scene.views[static_cast<std::size_t>(sources[0])];
-    const auto inner = [&](Index extent) {
-      const double half = 0.5 * static_cast<double>(std::min(config.crop, extent));
-      return rng.uniform(half - 0.5, std::max(half, static_cast<double>(extent) - half) - 0.5);
-    };
-    const double px = inner(first.rgb.dim(2)), py = inner(first.rgb.dim(1));
+    const double px = window_middle(config.crop, first.rgb.dim(2), rng),
+                 py = window_middle(config.crop, first.rgb.dim(1), rng);
     double x = 0, y = 0, z = scene.z_range.middle();
     for (int pass = 0; pass < 2;
          ++pass) {  // at the middle of the range first, then near the surface found there
@@ -211,7 +204,9 @@ nn::Model train(const TrainConfig& config, const fs::path& data, std::uint64_t s
         callbacks);
     return model;
   }
-  const auto scenes = training_scenes(data, config.views + 1, callbacks.reading);  // and one target
+  const auto scenes = training_scenes(
+      data, config.views + 1, callbacks.reading,
+      ": the " + std::to_string(config.views) + " of views and one that is rendered");
   run.scenes = scenes.size();
   train_on_samples(
       model, config, [&](Index i) { return training_sample(config, scenes, seed, i); }, run,

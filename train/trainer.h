@@ -3,6 +3,7 @@
 
 #include "satsurf/nn/model.h"
 #include "satsurf/scene/simulate/scene.h"
+#include "satsurf/train/augment.h"
 #include "satsurf/train/loss.h"
 #include "satsurf/train/scene_stream.h"
 #include "satsurf/train/training.h"
@@ -15,7 +16,10 @@
 namespace satsurf::train {
 
 /// Everything the training of the cascade depends on besides data and seed.
-struct TrainConfig : TrainingSettings, LossConfig {
+struct TrainConfig : TrainingSettings, LossConfig, AugmentConfig {
+  // That of the losses would compare those alone.
+  friend bool operator==(const TrainConfig&, const TrainConfig&) = delete;
+
   std::string preset = "base8";  ///< starting point of `model` and of the losses
   nn::ModelConfig model;
   std::filesystem::path mono_weights;  ///< of the monocular branch, from `--task mono`; see `train`
@@ -45,6 +49,7 @@ struct TrainConfig : TrainingSettings, LossConfig {
       Field{.help = "samples per step, each on a thread of its own", .min = 1, .max = 64});
     v("range_jitter", s.range_jitter,
       Field{.help = "random widening of the height range", .min = 0, .max = 2});
+    AugmentConfig::fields(s, v);
     v("radiometry_views", s.radiometry_views,
       Field{.help = "random gain, offset and gamma of every view by itself", .min = 0, .max = 0.9});
     v("simulate", s.simulate, Field{.help = "scenes made up on the way, without --data"});

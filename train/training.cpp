@@ -8,15 +8,16 @@
 #include "satsurf/core/version.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/running_mean.h"
-#include "satsurf/train/sample_batch.h"
 
 #include <algorithm>
+#include <cerrno>
 #include <charconv>
 #include <chrono>
 #include <cmath>
 #include <fstream>
 #include <memory>
 #include <set>
+#include <system_error>
 
 namespace satsurf::train {
 namespace {
@@ -56,9 +57,17 @@ std::string differences(nlohmann::json saved, const std::string& saved_seed, nlo
 
 /// The configuration for files that are handed on: other files by name, not where they lie here.
 nlohmann::json without_folders(nlohmann::json config) {
-  for (const char* field : {"init", "mono_weights", "lpips_weights"})
-    if (const auto it = config.find(field); it != config.end())
-      *it = fs::path(it->get<std::string>()).filename().string();
+  const auto strip = [](nlohmann::json& file) {
+    file = fs::path(file.get<std::string>()).filename().string();
+  };
+  for (const char* field : {"init", "mono_weights", "lpips_weights", "cascades"}) {
+    const auto it = config.find(field);
+    if (it == config.end()) continue;
+    if (it->is_array())
+      std::ranges::for_each(*it, strip);
+    else
+      strip(*it);
+  }
   return config;
 }
 
@@ -99,6 +108,37 @@ void resume_from(const fs::path& checkpoint, TrainingTask& task, nn::AdamW& opti
                   ", expected that of the optimiser, " + std::to_string(optimiser.steps()));
 }
 
+/// Whether a line of `train.jsonl` is of a step before `step`. What a kill or a full disk has left of
+/// a line is of none.
+bool is_before(const std::string& line, Index step) {
+  try {
+    const nlohmann::json report = parse_json(line, "train.jsonl");
+    if (!report.is_object()) return false;
+    const auto of = report.find("step");
+    return of != report.end() && of->is_number() && of->get<double>() < static_cast<double>(step);
+  } catch (const IoError&) {
+    return false;
+  }
+}
+
+/// The lines of a `train.jsonl` that are of steps before `step`.
+/// throws  IoError
+std::string lines_before(const fs::path& file, Index step) {
+  std::ifstream in(file);
+  std::string kept;
+  for (std::string line; std::getline(in, line);)
+    if (is_before(line, step)) kept += line + '\n';
+  if (!in.eof())
+    throw IoError(file.string() + ": cannot be read (" + std::generic_category().message(errno) +
+                  "), expected the steps of the run so far");
+  return kept;
+}
+
+[[noreturn]] void cannot_write(const fs::path& file) {
+  throw IoError(file.string() + ": cannot be written (" + std::generic_category().message(errno) +
+                "), expected a place that can be written");
+}
+
 double learning_rate(const TrainingSettings& settings, Index step) {
   if (settings.schedule == Schedule::constant &&
       static_cast<double>(step) >= settings.warmup * static_cast<double>(settings.steps))
@@ -118,20 +158,6 @@ void check_crop_memory(const TrainingSettings& settings, Index views) {
                kBytes * static_cast<double>(views) * side * side, "give a smaller crop");
 }
 
-StepLoss mean_of(const std::vector<StepLoss>& losses) {
-  double total = 0;
-  StepLoss out{{}, losses[0].terms};
-  for (std::size_t t = 0; t < out.terms.size(); ++t) {
-    double sum = 0, count = 0;
-    for (const StepLoss& loss : losses)
-      if (const double value = loss.terms[t].second; std::isfinite(value)) sum += value, ++count;
-    out.terms[t].second = count > 0 ? sum / count : std::nan("");
-  }
-  for (const StepLoss& loss : losses) total += static_cast<double>(loss.total.value().item());
-  out.total = Var(Tensor::scalar(static_cast<float>(total / static_cast<double>(losses.size()))));
-  return out;
-}
-
 StepLoss TrainingTask::descend(Index step) {
   StepLoss loss = this->loss(step);
   if (std::isfinite(loss.total.value().item())) loss.total.backward();
@@ -145,7 +171,8 @@ double StepReport::term(const std::string& name) const {
 }
 
 std::vector<scene::Scene> training_scenes(const fs::path& folder, Index least,
-                                          const std::function<void(double)>& reading) {
+                                          const std::function<void(double)>& reading,
+                                          const std::string& what) {
   const std::vector<std::string> names = scene::list_scenes(folder);
   std::vector<scene::Scene> scenes;
   for (const std::string& name : names) {
@@ -154,7 +181,7 @@ std::vector<scene::Scene> training_scenes(const fs::path& folder, Index least,
     if (static_cast<Index>(scene.views.size()) < least)
       throw IoError(folder.string() + ": scene " + name + " has " +
                     std::to_string(scene.views.size()) + " images, expected at least " +
-                    std::to_string(least));
+                    std::to_string(least) + what);
     if (!scene.truth)
       throw IoError(scene.truth_file.string() + ": no such file, expected the truth to train with");
     scenes.push_back(std::move(scene));
@@ -163,17 +190,11 @@ std::vector<scene::Scene> training_scenes(const fs::path& folder, Index least,
 }
 
 void TrainingFolder::add(const StepReport& r) {
+  const fs::path file = folder_ / "train.jsonl";
   if (!lines_.is_open()) {
-    const fs::path file = folder_ / "train.jsonl";
-    std::string kept;
-    if (r.step > 1 && is_file(file)) {
-      std::ifstream in(file);
-      std::string line;
-      for (Index n = 1; n < r.step && std::getline(in, line); ++n) kept += line + '\n';
-    }
-    atomic_write(file, kept);
+    atomic_write(file, r.step > 1 && is_file(file) ? lines_before(file, r.step) : "");
     lines_.open(file, std::ios::app);
-    if (!lines_) throw IoError(file.string() + ": cannot be written");
+    if (!lines_) cannot_write(file);
   }
   nlohmann::ordered_json line{{"step", r.step}, {"loss", r.loss}};
   for (const auto& [name, value] : r.terms) line[name] = value;
@@ -181,6 +202,7 @@ void TrainingFolder::add(const StepReport& r) {
   line["grad_norm"] = r.grad_norm;
   line["seconds"] = r.seconds;
   lines_ << line.dump() << '\n' << std::flush;
+  if (!lines_) cannot_write(file);
 }
 
 void TrainingFolder::save(const TensorFile& checkpoint, const TensorFile& weights) const {

@@ -61,8 +61,6 @@ struct TrainingSettings {
   double average = 0;  ///< what the averaged weights keep from step to step; 0 averages nothing
   double weight_decay = 0.01;
   double clip = 0.5;             ///< global gradient norm
-  double grey_share = 0.4;       ///< share of the samples made panchromatic
-  double radiometry = 0.15;      ///< random gain, offset and gamma of a sample
   Index checkpoint_every = 200;  ///< steps
   bool half = false;             ///< weights in half precision
 
@@ -87,10 +85,6 @@ struct TrainingSettings {
             .max = 0.99999});
     v("weight_decay", s.weight_decay, Field{.help = "decoupled weight decay", .min = 0, .max = 1});
     v("clip", s.clip, Field{.help = "largest global gradient norm", .min = 0});
-    v("grey_share", s.grey_share,
-      Field{.help = "share of the samples made panchromatic", .min = 0, .max = 1});
-    v("radiometry", s.radiometry,
-      Field{.help = "random gain, offset and gamma of a sample", .min = 0, .max = 0.9});
     v("checkpoint_every", s.checkpoint_every, Field{.help = "steps between checkpoints", .min = 1});
     v("half", s.half,
       Field{.help = "write weights.safetensors in half precision, at half the size"});
@@ -159,7 +153,7 @@ struct TrainingRun {
 /// throws  Error
 void check_crop_memory(const TrainingSettings& settings, Index views);
 
-/// Optimises a network with AdamW and a one-cycle learning rate.
+/// Optimises a network with AdamW and a learning rate that goes as `schedule` says.
 /// task      the network and its objective
 /// settings  of the run
 /// config    all settings as JSON, which the files keep and resuming compares
@@ -175,7 +169,7 @@ class TrainingFolder {
 
   std::filesystem::path checkpoint() const { return folder_ / "checkpoint.safetensors"; }
   /// Adds the step's line to `train.jsonl`; the first call drops the lines of that step and later
-  /// ones, which an interrupted run may have left.
+  /// ones, which an interrupted run may have left, and those that were cut short.
   /// throws  IoError
   void add(const StepReport& report);
   /// throws  IoError
@@ -198,8 +192,10 @@ TrainingCallbacks keep_in(const std::filesystem::path& folder,
 /// All scenes of a data set, each with the truth.
 /// least    images of each
 /// reading  told before each scene is read which share of them has been; may throw to stop
+/// what     they are for, to end the complaint of a scene that has fewer
 /// throws   IoError
 std::vector<scene::Scene> training_scenes(const std::filesystem::path& folder, Index least,
-                                          const std::function<void(double)>& reading);
+                                          const std::function<void(double)>& reading,
+                                          const std::string& what = {});
 
 }  // namespace satsurf::train

@@ -29,6 +29,7 @@ TEST_CASE("the manual page tells of every flag") {
   const std::string page = man_page(program);
   CHECK(page.starts_with(".TH SATSURF 1 "));
   CHECK(has(page, ".SH SATSURF RECONSTRUCT\n"));
+  CHECK(has(page, ".B satsurf reconstruct\n\\fIIMG\\fR... [\\fIoptions\\fR]\n"));
   CHECK(has(page, "\\fB\\-\\-height\\-range\\fR \\fILOW HIGH in m\\fR\n"));
   CHECK(has(page, "\\fIreport.html\\fR"));
   for (const Command& command : program.commands)
@@ -63,8 +64,8 @@ TEST_CASE("what was meant is named") {
       program.app.parse(line);
     } catch (const CLI::ExtrasError&) {
       return unexpected_arguments(program, program.app.remaining(true));
-    } catch (const CLI::ArgumentMismatch& e) {
-      return missing_value(program, e.what());
+    } catch (const CLI::ParseError& e) {
+      return wrong_value(program, e.what()) + help_hint(program);
     }
     return std::string("no error");
   };
@@ -75,11 +76,16 @@ TEST_CASE("what was meant is named") {
         "reconstruct: unknown flag --colour; see satsurf help reconstruct");
   CHECK(refused({"help", "info", "render"}) == "help: unexpected render; see satsurf help help");
   CHECK(refused({"help", "--completion"}) ==
-        "help: --completion came without a value, expected bash");
+        "help: --completion came without a value, expected bash; see satsurf help help");
   CHECK(refused({"reconstruct", "a.tif", "--report"}) ==
-        "reconstruct: --report came without a value, expected one of html, none");
+        "reconstruct: --report came without a value, expected one of html, none; see satsurf help "
+        "reconstruct");
+  CHECK(refused({"reconstruct", "a.tif", "--quiet=maybe"}) ==
+        "--quiet is 'maybe', expected true or false; see satsurf help reconstruct");
+  CHECK(refused({"reconstruct", "a.tif", "b.tif"}) ==
+        "--out is required; see satsurf help reconstruct");
   CHECK(refused({"reconstruct", "a.tif", "--out"}) ==
-        "reconstruct: --out came without a value, expected DIR");
+        "reconstruct: --out came without a value, expected DIR; see satsurf help reconstruct");
   CHECK(with_flag("a.json: no image; name its folder", true).ends_with(" with --image-dir"));
   CHECK(with_flag("a.json: no image; name its folder", false).ends_with(" its folder"));
   CHECK(with_flag("a.pgm: of the format PNM; SATSURF_GDAL_DRIVERS=PNM in the environment allows it",

@@ -184,7 +184,8 @@ TEST_CASE("output folder: what exists is replaced only when asked, and only when
   const fs::path out = folder / "out";
   leave_run(out);
   write_bytes(out / "old.tif", "old");
-  const std::string refusal = "out: " + out.string() + " exists and is not empty; use --overwrite";
+  const std::string refusal =
+      "--out: " + out.string() + " exists and is not empty; use --overwrite";
   CHECK(error_of<IoError>([&] { OutputFolder::staged(out, false); }) == refusal);
   CHECK(entries(folder.path()) == 1);
 
@@ -212,12 +213,12 @@ TEST_CASE("output folder: what exists is replaced only when asked, and only when
   SUBCASE("a file is no folder") {
     const fs::path file = out / "new.tif";
     CHECK(error_of<IoError>([&] { OutputFolder::staged(file, true); }) ==
-          "out: " + file.string() + " is a file, expected a folder");
+          "--out: " + file.string() + " is a file, expected a folder");
   }
   SUBCASE("the working folder and those around it are safe") {
     for (const fs::path& dangerous : {fs::path("."), fs::path(".."), fs::path("/")})
       CHECK(error_of<IoError>([&] { OutputFolder::staged(dangerous, true); }) ==
-            "out: " + dangerous.string() +
+            "--out: " + dangerous.string() +
                 " holds the working or the home folder, which --overwrite would remove");
   }
 }
@@ -233,7 +234,7 @@ TEST_CASE("output folder: only a run of the program is overwritten, and no input
     CHECK(!fs::exists(out.string() + ".partial-" + std::to_string(::getpid())));
     return text;
   };
-  const std::string no_run = "out: " + out.string() +
+  const std::string no_run = "--out: " + out.string() +
                              " holds no run.json of an earlier run, expected one for --overwrite; "
                              "name another folder";
   CHECK(refused() == no_run);
@@ -249,7 +250,7 @@ TEST_CASE("output folder: only a run of the program is overwritten, and no input
   for (const fs::path& input : {out, out / "thesis.txt", out / "to-outside", out / "missing.tif",
                                 folder / "to-inside", folder / "elsewhere.tif/../out/thesis.txt"})
     CHECK(refused({folder / "elsewhere.tif", {}, input}) ==
-          "out: " + out.string() + " holds the input " + input.string() +
+          "--out: " + out.string() + " holds the input " + input.string() +
               ", expected a folder of its own");
   { const OutputFolder apart = OutputFolder::staged(out, true, {folder / "elsewhere.tif", {}}); }
 
@@ -259,7 +260,7 @@ TEST_CASE("output folder: only a run of the program is overwritten, and no input
     fs::create_directories(fresh);
     write_bytes(fresh / "theirs", "x");
     CHECK(error_of<IoError>([&] { staged.commit(); }) ==
-          "out: " + fresh.string() + " exists and is not empty; use --overwrite");
+          "--out: " + fresh.string() + " exists and is not empty; use --overwrite");
     CHECK(read_bytes(fresh / "theirs") == "x");
   }
 }
@@ -290,7 +291,7 @@ TEST_CASE("output folder: what a killed process has left goes with the next run"
     leave_run(folder / "out.replaced-8");
     write_bytes(folder / "out.replaced-8/old.tif", "old");
     CHECK(error_of<IoError>([&] { OutputFolder::staged(out, false); }) ==
-          "out: " + out.string() + " exists and is not empty; use --overwrite");
+          "--out: " + out.string() + " exists and is not empty; use --overwrite");
     CHECK(read_bytes(out / "old.tif") == "old");
     OutputFolder::staged(out, true).commit();
   }
@@ -319,7 +320,7 @@ TEST_CASE("output folder: a place that a living process works on is refused") {
   const test::TempFolder folder("living");
   const fs::path out = folder / "out";
   const auto refusal = [&](const fs::path& busy) {
-    return "out: " + out.string() + " is being worked on by another process (" +
+    return "--out: " + out.string() + " is being worked on by another process (" +
            fs::weakly_canonical(busy).string() + "), expected to have it alone";
   };
   const auto staged = [&] { OutputFolder::staged(out, true); };
@@ -366,7 +367,7 @@ TEST_CASE("output folder: in place, whatever is there stays") {
   }
   CHECK(read_bytes(out / "checkpoint") == "1");
   CHECK(error_of<IoError>([&] { OutputFolder::in_place(out / "checkpoint"); }) ==
-        "out: " + (out / "checkpoint").string() + " is a file, expected a folder");
+        "--out: " + (out / "checkpoint").string() + " is a file, expected a folder");
   CHECK(error_of<IoError>([&] { OutputFolder::staged("", true); }) ==
-        "out: the name is empty, expected a folder");
+        "--out: the name is empty, expected a folder");
 }

@@ -128,7 +128,7 @@ succeeds "what will be moved away" "${moved[@]}" --quiet
 mv moved moved.replaced-1
 mkdir moved.partial-1 moved.replaced-2
 "${moved[@]}" >stdout 2>stderr
-holds "a place that was moved away is not empty" grep -q '^satsurf: out: moved exists and is not empty; use --overwrite' stderr
+holds "a place that was moved away is not empty" grep -q '^satsurf: --out: moved exists and is not empty; use --overwrite' stderr
 holds "as it was put back" grep -q '/moved put back, which a stopped run had moved to .*/moved.replaced-1$' stderr
 succeeds "making it anew" "${moved[@]}" --overwrite
 for left in moved.partial-1 moved.replaced-2; do
@@ -276,6 +276,9 @@ rm -rf part box
 refuses "an area elsewhere" 1 "outside of what two images see" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --bbox 1,1,1.1,1.1 --quiet
 refuses "a box of three numbers" 2 "--bbox: 3 numbers, expected 4" "$satsurf" reconstruct "${images[@]}" --out no --bbox 1,1,2
 refuses "a box and an area" 2 "--bbox and --aoi came" "$satsurf" reconstruct "${images[@]}" --out no --bbox 1,1,2,2 --aoi area.geojson
+refuses "an area whose driver is not trusted" 1 "area.gml: of the format GML.*--gdal-drivers GML allows it" \
+  "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --quiet --aoi \
+  "$(echo '<ogr:FeatureCollection xmlns:ogr="http://ogr.maptools.org/" xmlns:gml="http://www.opengis.net/gml"/>' >area.gml; echo area.gml)"
 refuses "an area that is none" 1 "area.txt: not a vector file" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --aoi "$(echo none >area.txt; echo area.txt)" --quiet
 refuses "no size of memory" 2 "max_memory: .much., expected a size" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --max-memory much --quiet
 refuses "too little memory" 2 "max_memory: 1 MB, expected .* or more for 3 images" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --max-memory 1MB --quiet
@@ -504,6 +507,7 @@ refuses "another format" 2 "expected a name ending in .glb or .ply" "$satsurf" e
 refuses "a raster of surfels" 2 "expected a name ending in .glb or .ply; satsurf render --nadir makes rasters" "$satsurf" export --surfels out/surfels.ply --to dsm.tif
 refuses "an existing file" 1 "--to: mesh.glb exists; use --overwrite" "$satsurf" export --mesh out/mesh.ply --to mesh.glb
 refuses "colours of another grid" 1 "another grid, expected that of $truth" "$satsurf" export --dsm $truth --ortho out/ortho.tif --to no.glb
+refuses "no face left" 2 "--max-faces: 1 leaves none of [0-9]+ faces" "$satsurf" export --mesh out/mesh.ply --to no.glb --max-faces 1
 refuses "nothing to export" 2 "--mesh, --dsm or --surfels is required" "$satsurf" export --to no.glb
 succeeds "render a view" "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --out view.tif
 succeeds "a rendered view has a camera" "$satsurf" info view.tif
@@ -634,6 +638,16 @@ holds "it is told" grep -q '"resolution": 2.0' render.json
 succeeds "render from a file" "$satsurf" render --config render.json --out coarse.png
 succeeds "a camera instead of above" "$satsurf" render --config render.json --image "${images[0]}" --print-config
 holds "takes its place" grep -q '"nadir": false' stdout
+sed 's:"grid"\: "":"grid"\: "out/dsm.tif":' render.json >twice.json
+refuses "a record that says the cells twice" 2 "twice.json: both resolution and grid" "$satsurf" render --config twice.json --out no.png
+succeeds "a grid instead of the file's cells" "$satsurf" render --config render.json --grid out/dsm.tif --print-config
+holds "takes their place" grep -q '"resolution": 0.0' stdout
+refuses "cells said twice" 2 "excludes" "$satsurf" render --surfels out/surfels.ply --nadir --grid out/dsm.tif --resolution 1 --out no.tif
+refuses "cells of a camera" 2 "render --image: --resolution came, expected only with --nadir" \
+  "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --resolution 5 --out no.png
+refuses "heights of a camera" 2 "render --image: --show came, expected only with --nadir" \
+  "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --show heights --out no.png
+refuses "a mesh for surfels" 1 "out/mesh.ply: .*expected surfels, one vertex element" "$satsurf" render --surfels out/mesh.ply --nadir --out no.png
 refuses "neither camera nor above" 2 "--image or --nadir" "$satsurf" render --surfels out/surfels.ply --out no.png
 refuses "both" 2 "excludes" "$satsurf" render --surfels out/surfels.ply --image "${images[0]}" --nadir --out no.png
 refuses "no surfels named" 2 "--surfels is required" "$satsurf" render --nadir --out no.png
@@ -648,6 +662,8 @@ refuses "unknown command" 2 "paint" "$satsurf" paint
 refuses "a mistyped command" 2 "reconstuct, did you mean reconstruct\?" "$satsurf" reconstuct
 refuses "a flag without its value" 2 "help: --completion came without a value, expected bash" "$satsurf" help --completion
 refuses "a mistyped flag" 2 "info: unknown flag --jsno, did you mean --json\?; see satsurf help info" "$satsurf" info "${images[0]}" --jsno
+refuses "a mistyped flag and no image" 2 "info: unknown flag --jsno" "$satsurf" info --jsno
+refuses "a switch that is neither" 2 "--quiet is 'maybe', expected true or false; see satsurf help train" "$satsurf" train --quiet=maybe
 refuses "unknown flag" 2 "--colour" "$satsurf" info "${images[0]}" --colour
 refuses "a number out of range" 2 "lr.*2" "$satsurf" train --data data --out no --lr 2
 refuses "no number" 2 "steps.*many" "$satsurf" train --data data --out no --steps many
@@ -655,6 +671,9 @@ refuses "unknown preset" 2 "huge.*base8" "$satsurf" train --data data --out no -
 refuses "crop that does not fit" 2 "crop" "$satsurf" train --data data --out no --preset tiny --crop 33
 refuses "unknown task" 2 "task.*mini.*cascade, mono, surface" "$satsurf" train --data data --out no --task mini
 refuses "a flag of another task" 2 "task mono: --views" "$satsurf" train --data data --out no --task mono --views 3
+refuses "scenes of too few images" 1 "has 4 images, expected at least 5: the 4 of views and one that is rendered" \
+  "$satsurf" train --data data --out no --views 4
+refuses "a flag of both other tasks" 2 "task surface: --grey_share" "$satsurf" train --out no --task surface --grey_share 0.1
 refuses "a flag of the other task" 2 "task cascade: --least_relief" "$satsurf" train --data data --out no --least_relief 3
 refuses "crop that does not fit mono" 2 "crop is 48, expected a multiple of 32" "$satsurf" train --data data --out no --task mono --crop 48
 refuses "heights the wrong way round" 2 "height.range" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --height-range 50 10
@@ -725,6 +744,7 @@ echo "a file" >text.txt
 scored=(--dsm out/dsm.tif --truth $truth)
 scores() { "$satsurf" evaluate "$@" --quiet; }
 refuses "existing scores" 1 "^satsurf: --json: scores.json exists; use --overwrite" scores "${scored[@]}" --json scores.json
+refuses "an error map that is no PNG" 2 "--error-map: error.jpg, expected a name ending in .png" scores "${scored[@]}" --error-map error.jpg
 refuses "existing error map" 1 "--error-map: error.png exists; use --overwrite" scores "${scored[@]}" --error-map error.png
 refuses "existing table" 1 "--csv: all.csv exists; use --overwrite" scores --data data --weights $weights --csv all.csv
 refuses "existing confidences" 1 "--confidence-csv: confidence.csv exists; use --overwrite" \
@@ -754,13 +774,13 @@ meshes() { "$satsurf" evaluate --mesh "$1" --reference-mesh "$2" "${@:3}"; }
 refuses "existing mesh scores" 1 "--json: mesh.json exists; use --overwrite" meshes out/mesh.ply out/mesh.ply --json mesh.json
 refuses "mesh scores into the reference" 1 "--json: out/mesh.ply is an input" \
   meshes coarse/mesh.ply out/mesh.ply --json out/mesh.ply --overwrite
-refuses "a mesh that is missing" 1 "gone.ply: cannot be opened" meshes out/mesh.ply gone.ply
+refuses "a mesh that is missing" 1 "gone.ply: no such file, expected a PLY file" meshes out/mesh.ply gone.ply
 refuses "surfels for a mesh" 1 "out/surfels.ply: no faces, expected a mesh" meshes out/surfels.ply out/mesh.ply
 refuses "a mesh in another zone" 1 "elsewhere.ply: EPSG:32[67][0-9]{2} and EPSG:32[67]60, expected one system" meshes out/mesh.ply elsewhere.ply
 refuses "a mesh without a place" 1 "out/mesh.ply and nowhere.ply: EPSG:32[67][0-9]{2} and no system, expected one system" \
   meshes out/mesh.ply nowhere.ply
 refuses "no weights for LPIPS" 1 "gone.safetensors" scores "${pictures[@]}" --lpips-weights gone.safetensors
-refuses "two results in one file" 1 "out/../both: named for two" scores "${scored[@]}" --error-map out/../both --json both
+refuses "two results in one file" 1 "out/../both.png: named for two" scores "${scored[@]}" --error-map out/../both.png --json both.png
 refuses "an error map where no file can be" 1 "--error-map: text.txt/e.png cannot be written" \
   scores "${scored[@]}" --error-map text.txt/e.png
 succeeds "overwriting scores" scores "${scored[@]}" --json scores.json --error-map error.png --overwrite
@@ -870,7 +890,7 @@ refuses "overwriting, no such --init" 1 "nope.safetensors" retrain --data data -
 refuses "overwriting, too few images" 1 "SIM_001 has 4 images" retrain --data data --out whole --views 8
 refuses "overwriting --init" 1 "whole holds the input $weights" retrain --data data --out whole --init $weights
 refuses "overwriting the data" 1 "data holds the input data" retrain --data data --out data
-refuses "overwriting a folder around the data" 1 "^satsurf: out: data/../box holds the input box/data" \
+refuses "overwriting a folder around the data" 1 "^satsurf: --out: data/../box holds the input box/data" \
   retrain --data box/data --out data/../box
 refuses "overwriting --config" 1 "data holds the input data/run.json" \
   "$satsurf" simulate --config data/run.json --out data --overwrite

@@ -161,7 +161,7 @@ TEST_CASE("mesh files that are damaged are refused") {
   CHECK(complaint(head + raw({0.f, 0.f, 0.f, 4e5f, 0.f, 0.f, 0.f, 1.f, 0.f}) + face)
             .starts_with("property x of vertex 1 is 400000.000000, expected at most "));
   CHECK(error_of<IoError>([&] { mesh::read_ply(folder / "none.ply"); }) ==
-        "read_ply: " + (folder / "none.ply").string() + ": cannot be opened");
+        (folder / "none.ply").string() + ": no such file, expected a PLY file");
 }
 
 TEST_CASE("meshes that no reader takes are not written") {

@@ -373,6 +373,12 @@ TEST_CASE("what cannot be fused is refused") {
   // a thousand million voxels a metre
   CHECK(error_of<Error>(fuse(level(2000, 1, 1), {0.01, 5})).find("voxels need about") !=
         std::string::npos);
+  // two views a thousand kilometres apart
+  HeightImage far = level(20, 1, 1);
+  for (auto& along : far.local_from_pixel.coeff) along[0] += 1e6;
+  CHECK(error_of<Error>([&] {
+          mesh::fuse(std::vector{good, far}, {1, 5});
+        }).find("m in voxels of 1 m need about") != std::string::npos);
   HeightImage thin = level(20, 1, 1);
   for (Index p = 0; p < 400; ++p)
     if (p != 210) thin.height[p] = NAN;

@@ -534,6 +534,14 @@ TEST_CASE("wrong inputs are refused by name") {
   scene.sources.resize(1);
   CHECK_THROWS_WITH_AS(model.forward(scene), "model: 1 source views, expected two or more",
                        ShapeError);
+  nn::ModelConfig config = nn::model_preset("tiny");
+  config.interval_min = 2, config.interval_max = 1;
+  CHECK_THROWS_WITH_AS(nn::Model(config, 1),
+                       "model: interval_min is 2.000000, expected no more than interval_max, which "
+                       "is 1.000000",
+                       ConfigError);
+  config.interval_max = 2;  // as good as one that is fixed
+  CHECK_NOTHROW(nn::Model(config, 1));
   CHECK_THROWS_WITH_AS(
       nn::model_preset("huge"),
       "preset: 'huge', expected one of tiny, tiny_full, base8, base16, wide8, cascade8, "

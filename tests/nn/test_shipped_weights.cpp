@@ -21,7 +21,7 @@ TEST_CASE("the shipped weights are found among the sources and are the networks 
   CHECK(load_mono(shipped_weights(ShippedNetwork::mono)).config() == MonoConfig{});
 }
 
-TEST_CASE("SATSURF_WEIGHTS names the surface network's weights alone") {
+TEST_CASE("SATSURF_WEIGHTS names the cascade's weights alone") {
   ::setenv("SATSURF_WEIGHTS", "own.safetensors", 1);
   CHECK(shipped_weights() == "own.safetensors");
   CHECK(shipped_weights(ShippedNetwork::mono).filename() == "mono12.safetensors");

@@ -23,8 +23,9 @@ SurfaceInput some_input(Index H, Index W) {
   SurfaceInput input{normal({kSurfaceCandidates, H, W}, 1, 5).cast<float>(),
                      normal({kSurfacePlanes, H, W}, 2).cast<float>(), 0.8};
   for (Index k = 0; k < input.candidates.count(); k += 7) input.candidates[k] = std::nanf("");
-  for (Index k = 0; k < kSurfaceCandidates; ++k)
-    input.candidates[k * H * W + 5] = std::nanf("");  // a cell nobody knows anything of
+  constexpr Index kUnknown = 5;  // a cell nobody knows anything of, where there are so many
+  for (Index k = 0; k < kSurfaceCandidates && kUnknown < H * W; ++k)
+    input.candidates[k * H * W + kUnknown] = std::nanf("");
   return input;
 }
 
@@ -39,10 +40,11 @@ TEST_CASE("the surface network takes surfaces of any size and keeps to the candi
   for (const auto& [H, W] : {std::pair<Index, Index>{32, 48}, {37, 19}, {1, 1}, {5, 2}}) {
     CAPTURE(H);
     const SurfaceModel network({.base = 3}, 1);
-    SurfaceInput input = some_input(std::max<Index>(H, 3), std::max<Index>(W, 3));
+    const SurfaceInput input = some_input(H, W);
     const RefinedSurface out = refined(network, input);
-    REQUIRE(out.heights.shape() == Shape{input.planes.dim(1), input.planes.dim(2)});
-    const Index P = out.heights.count();
+    REQUIRE(out.heights.shape() == Shape{H, W});
+    REQUIRE(out.sigma.shape() == Shape{H, W});
+    const Index P = H * W;
     for (Index i = 0; i < P; ++i) {
       double low = INFINITY, high = -INFINITY;
       for (Index k = 0; k < kSurfaceCandidates; ++k)

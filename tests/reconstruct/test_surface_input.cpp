@@ -114,6 +114,22 @@ TEST_CASE("the images agree at the true height and not elsewhere") {
   CHECK(wrong / n > 0.4);
 }
 
+TEST_CASE("of many images those count that show the place") {
+  MadeUp made;
+  const nn::SurfaceInput three = made.made();
+  for (int i = 0; i < 20; ++i) {  // of a place far away
+    nn::PosedImage elsewhere = made.input.sources[0];
+    elsewhere.pixel_from_local.coeff[0][0] += 1e4;
+    made.input.sources.insert(made.input.sources.begin(), elsewhere);
+  }
+  const nn::SurfaceInput many = made.made();
+  CHECK(std::memcmp(many.planes.data(), three.planes.data(),
+                    sizeof(float) * static_cast<std::size_t>(many.planes.count())) == 0);
+  CHECK(made.plane(many, at(SurfacePlane::views), 0.1, 0.1) == 0.75f);  // quarters
+  for (int i = 0; i < 20; ++i) made.input.sources.push_back(made.input.sources.back());
+  CHECK(made.plane(made.made(), at(SurfacePlane::views), 0.1, 0.1) == 4);  // of 16 at most
+}
+
 TEST_CASE("a cell's summary is what its definition says") {
   Rng rng(4);
   for (int trial = 0; trial < 200; ++trial) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/error.h"
+#include "satsurf/core/parallel.h"
 #include "satsurf/reconstruct/feather.h"
 #include "satsurf/reconstruct/tile.h"
 #include "satsurf/reconstruct/tiling.h"
@@ -422,6 +423,19 @@ TEST_CASE("more memory never means smaller windows, and too little is refused") 
   CHECK(window_for_memory(model, {3, 12000}, Surface::refined, 1e12) == kLargestWindow);
   CHECK(window_for_memory(model, {3, 12000}, Surface::refined, 0) == kWholeImage);
   CHECK_THROWS_AS(window_for_memory(model, {3, 12000}, Surface::refined, 1e8), ConfigError);
+}
+
+TEST_CASE("the threads have no say in the size of windows") {
+  const nn::ModelConfig model = nn::model_preset("wide8");
+  const auto windows = [&](int threads) {
+    set_threads(threads);
+    std::vector<Index> sides;
+    for (double bytes = 1.9e9; bytes < 2.1e9; bytes += 5e5)
+      sides.push_back(window_for_memory(model, {2, 12000}, Surface::refined, bytes));
+    set_threads(0);
+    return sides;
+  };
+  CHECK(windows(1) == windows(0));
 }
 
 TEST_CASE("every tile has the best of the images that see it") {

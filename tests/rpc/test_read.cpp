@@ -185,6 +185,7 @@ TEST_CASE("a camera that GDAL leaves aside is found all the same") {
   CHECK(source("a.png", "a.RPB", as_rpb(rpc)) == "RPB");
   CHECK(source("a.png", "a.XML", as_maxar_xml(rpc)) == "Maxar XML");
   CHECK(source("IMG_a.tif", "RPC_a.XML", as_dimap(rpc)) == "DIMAP");
+  CHECK(source("a.tif", "RPC_a.XML", as_dimap(rpc)) == "DIMAP");
   // An XML file about something else is no camera.
   CHECK(error_of<IoError>([&] {
           source("a.png", "a.XML", "<metadata/>");
@@ -664,7 +665,7 @@ TEST_CASE("a view is a raster or a JSON that names one") {
   CHECK(error_of<IoError>([&] { open_view(folder / "bare.tif"); }) ==
         (folder / "bare.tif").string() +
             ": no camera (RPC), looked for bare.RPB, bare.XML, bare_RPC.TXT, bare_rpc.txt, "
-            "bare.rpc, bare.tif.aux.xml, the "
+            "bare.rpc, bare.tif.aux.xml, RPC_bare.XML, the "
             "TIFF tag or NITF RPC00B "
             "of the file itself");
 }

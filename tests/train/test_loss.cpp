@@ -295,27 +295,18 @@ TEST_CASE("the losses of presets") {
   mvsplat.stage_weight = skysplat.stage_weight = {0, 0, 2};
   hisplat.stage_weight = {1, 1, 1};
   skysplat.geo_weight = 1;
-  const auto same = [](const LossConfig& a, const LossConfig& b) {
-    return a.stage_weight == b.stage_weight && a.height_weight == b.height_weight &&
-           a.height_beta == b.height_beta && a.render_height_weight == b.render_height_weight &&
-           a.geo_weight == b.geo_weight && a.geo_target == b.geo_target &&
-           a.colour_weight == b.colour_weight && a.ssim_weight == b.ssim_weight &&
-           a.lpips_weight == b.lpips_weight && a.lpips_weights == b.lpips_weights &&
-           a.routing == b.routing && a.routing_tau == b.routing_tau &&
-           a.appearance_warmup == b.appearance_warmup;
-  };
-  CHECK(same(loss_preset("base8"), {}));
-  CHECK(same(loss_preset("base16"), {}));
+  CHECK(loss_preset("base8") == LossConfig());
+  CHECK(loss_preset("base16") == LossConfig());
   LossConfig distribution;
   distribution.distribution_weight = 1;
   distribution.height_in_reach = true;
   distribution.height_weight = 0.3;
-  CHECK(same(loss_preset("wide8"), distribution));
-  CHECK(same(loss_preset("paper"), paper));
-  CHECK(same(loss_preset("cascade8"), cascade));
-  CHECK(same(loss_preset("mvsplat_like"), mvsplat));
-  CHECK(same(loss_preset("hisplat_like"), hisplat));
-  CHECK(same(loss_preset("skysplat_like"), skysplat));
+  CHECK(loss_preset("wide8") == distribution);
+  CHECK(loss_preset("paper") == paper);
+  CHECK(loss_preset("cascade8") == cascade);
+  CHECK(loss_preset("mvsplat_like") == mvsplat);
+  CHECK(loss_preset("hisplat_like") == hisplat);
+  CHECK(loss_preset("skysplat_like") == skysplat);
   CHECK_THROWS_AS(loss_preset("base9"), ConfigError);
 
   const LossConfig c;

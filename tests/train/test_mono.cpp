@@ -234,8 +234,8 @@ TEST_CASE("monocular training refuses what it cannot do") {
   CHECK(refusal(odd) == "train: crop is 48, expected a multiple of 32");
   CHECK(refusal(other) == "train: task is cascade, expected mono");
   CHECK(refusal(none).starts_with("train: batch"));
-  TrainConfig surface = TrainConfig();
-  surface.task = Task::mono;
-  CHECK_THROWS_WITH_AS(train_in_folder(surface, data(), folder / "no", 4),
+  TrainConfig cascade = TrainConfig();
+  cascade.task = Task::mono;
+  CHECK_THROWS_WITH_AS(train_in_folder(cascade, data(), folder / "no", 4),
                        "train: task is mono, expected cascade", ConfigError);
 }

@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/fields_json.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/weights_file.h"
+#include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/scene_stream.h"
 #include "satsurf/train/surface_trainer.h"
+#include "satsurf/train/trainer.h"
 
 #include <algorithm>
 #include <cmath>
@@ -89,6 +92,22 @@ TEST_CASE("surface training: resumed on other threads it is the same, byte for b
   CHECK(network->config().base == 3);
   CHECK(nn::load_model(folder / "whole/weights.safetensors").config() ==
         nn::load_model(cascade()).config());
+  // whoever gets the weights need not know our folders; resuming asks whether it is the same file
+  const auto configuration = [&](const std::string& name) {
+    return load_safetensors(folder / ("whole/" + name)).metadata.at("train");
+  };
+  CHECK(configuration("weights.safetensors").find(R"("cascades":["cascade.safetensors"])") !=
+        std::string::npos);
+  CHECK(configuration("checkpoint.safetensors") == to_json(tiny(6)).dump());
+}
+
+TEST_CASE("how images are made to look is a setting of the networks that are shown some") {
+  for (const char* field : {"grey_share", "radiometry"}) {
+    CAPTURE(field);
+    CHECK(to_json(TrainConfig()).contains(field));
+    CHECK(to_json(MonoTrainConfig()).contains(field));
+    CHECK_FALSE(to_json(SurfaceTrainConfig()).contains(field));
+  }
 }
 
 TEST_CASE("the surface network learns which candidate the images agree about") {

@@ -6,6 +6,7 @@
 #include "satsurf/core/version.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/scene/simulate/scene.h"
+#include "satsurf/train/draw.h"
 #include "satsurf/train/loss.h"
 #include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/stream.h"
@@ -15,6 +16,7 @@
 #include <chrono>
 #include <cmath>
 #include <condition_variable>
+#include <csignal>
 #include <fstream>
 #include <iterator>
 #include <mutex>
@@ -25,6 +27,8 @@
 #include "tests/temp_folder.h"
 #include "tests/train/train_in_folder.h"
 #include <doctest/doctest.h>
+#include <nlohmann/json.hpp>
+#include <sys/resource.h>
 
 using namespace satsurf;
 using namespace satsurf::test;
@@ -67,6 +71,15 @@ const std::filesystem::path& data() {
   return folder.path();
 }
 
+/// The steps that a run's `train.jsonl` has a line of.
+std::vector<Index> journal_steps(const std::filesystem::path& folder) {
+  std::vector<Index> steps;
+  std::ifstream in(folder / "train.jsonl");
+  for (std::string line; std::getline(in, line);)
+    steps.push_back(nlohmann::json::parse(line).at("step").get<Index>());
+  return steps;
+}
+
 std::function<bool(const StepReport&)> stop_after(Index step) {
   return [step](const StepReport& r) { return r.step < step; };
 }
@@ -105,15 +118,59 @@ TEST_CASE("a run killed between its checkpoint and its weights has both once it 
   CHECK(bytes_of(weights) == of_step_four);
 }
 
-TEST_CASE("a checkpoint whose optimiser cannot be that of a run is refused") {
+TEST_CASE("a resumed run keeps the lines of the steps before, whichever are there") {
+  const TempFolder folder("trainer-lines");
+  const auto steps_with_four = [&](const std::string& left) {
+    write_bytes(folder / "train.jsonl", left);
+    TrainingFolder(folder.path()).add({.step = 4, .steps = 9});
+    return journal_steps(folder.path());
+  };
+  CHECK(steps_with_four("") == std::vector<Index>{4});
+  CHECK(steps_with_four(R"({"step":1}
+{"step":3}
+{"step":4}
+{"step":5}
+)") == std::vector<Index>{1, 3, 4});
+  CHECK(steps_with_four(R"({"step":1}
+{"step":2,"lo
+7
+{}
+
+{"step":"2"}
+{"step":3})") == std::vector<Index>{1, 3, 4});
+}
+
+TEST_CASE("a step that finds no room for its line fails, and what there was room for goes") {
+  const TempFolder folder("trainer-no-room");
+  TrainingFolder full(folder.path());
+  full.add({.step = 1, .steps = 9});
+  const auto file = folder / "train.jsonl";
+  rlimit before{};
+  REQUIRE(getrlimit(RLIMIT_FSIZE, &before) == 0);
+  const auto handler = std::signal(SIGXFSZ, SIG_IGN);
+  const rlimit small{std::filesystem::file_size(file) + 9, before.rlim_max};
+  REQUIRE(setrlimit(RLIMIT_FSIZE, &small) == 0);
+  const std::string refusal = error_of<IoError>([&] { full.add({.step = 2, .steps = 9}); });
+  setrlimit(RLIMIT_FSIZE, &before);
+  std::signal(SIGXFSZ, handler);
+  CHECK(refusal ==
+        file.string() +
+            ": cannot be written (File too large), expected a place that can be written");
+  TrainingFolder(folder.path()).add({.step = 2, .steps = 9});
+  CHECK(journal_steps(folder.path()) == std::vector<Index>{1, 2});
+}
+
+TEST_CASE("a checkpoint whose optimiser or mean cannot be that of a run is refused") {
   const TempFolder folder("trainer-senseless");
-  train_in_folder(tiny(4), data(), folder / "run", 4, false, stop_after(2));
+  TrainConfig config = tiny(4);
+  config.average = 0.9;
+  train_in_folder(config, data(), folder / "run", 4, false, stop_after(2));
   const auto file = folder.path() / "run" / "checkpoint.safetensors";
   const TensorFile good = load_safetensors(file);
   const auto refusal = [&](const TensorFile& bad) -> std::string {
     save_safetensors(file, bad);
     try {
-      train_in_folder(tiny(4), data(), folder / "run", 4, true);
+      train_in_folder(config, data(), folder / "run", 4, true);
     } catch (const IoError& e) {
       return e.what();
     }
@@ -130,6 +187,8 @@ TEST_CASE("a checkpoint whose optimiser cannot be that of a run is refused") {
   };
   CHECK(refusal(with_value("adam.v.", -1)).find("negative") != std::string::npos);
   CHECK(refusal(with_value("adam.m.", NAN)).find("not finite") != std::string::npos);
+  for (const float value : {NAN, INFINITY})
+    CHECK(refusal(with_value("mean.", value)).find("not finite") != std::string::npos);
   TensorFile other_step = good;
   other_step.metadata["adam.steps"] = "3";
   CHECK(refusal(other_step).find("of step 2, expected that of the optimiser, 3") !=
@@ -432,6 +491,18 @@ TEST_CASE("samples are a function of seed and step") {
   };
   CHECK(pixels(a) == pixels(b));
   CHECK(pixels(a) != pixels(c));
+}
+
+TEST_CASE("what a seed draws stays what it is") {
+  Rng rng(7);
+  CHECK(shuffled(8, rng) == std::vector<Index>{5, 6, 3, 4, 1, 0, 2, 7});
+  for (int k = 0; k < 200; ++k) {
+    const double middle = window_middle(32, 100, rng);
+    REQUIRE(middle >= 15.5);
+    REQUIRE(middle < 83.5);
+  }
+  CHECK(window_middle(64, 64, rng) == 31.5);
+  CHECK(window_middle(96, 64, rng) == 31.5);
 }
 
 TEST_CASE("windows that no memory holds are refused before anything is read") {
