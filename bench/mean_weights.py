@@ -37,9 +37,11 @@ def main(first, second, out, share="0.5", network="cascade"):
     others, other_data = load(second)
     about, of_other = entries.setdefault("__metadata__", {}), others.get("__metadata__", {})
     about[origin] = json.dumps({"share": share} | {key: of_other.get(key, "") for key in ("git", "seed", "step", "version")})
-    for name, entry in entries.items():
-        if not name.startswith(prefix):
-            continue
+    names = [name for name in entries if name.startswith(prefix)]
+    if not names:
+        sys.exit(f"{first}: no tensor of a {network}, expected some whose names begin with '{prefix}'")
+    for name in names:
+        entry = entries[name]
         other = others.get(name)
         if other is None or entry["shape"] != other["shape"] or entry["dtype"] != "F16" or other["dtype"] not in FORMS:
             sys.exit(f"{name}: {entry} and {other}, expected one shape, F16 in the first file and F16 or F32 in the second")

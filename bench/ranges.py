@@ -101,7 +101,7 @@ def main():
     rows = list(csv.reader(table.open()))[1:] if table.exists() else []
     with table.open("a", newline="") as out:
         writer = csv.writer(out)
-        if not rows:
+        if out.tell() == 0:  # one that was stopped in its first scene has left its header alone
             writer.writerow(COLUMNS)
         for name, get in scenes(options):
             if any(r[0] == name for r in rows):

@@ -10,8 +10,8 @@ TRUTH    a DSM of the same place, in the surface's system, as `simulate` writes 
 
 For each distance from the nearest border between two tiles, in cells of the surface, the cells of the truth: their number,
 how far heights lie from the truth (mean and median of the absolute differences), and the mean absolute jump of that
-difference from one cell of the truth to the next across the border's direction, which a seam would raise at 0. Needs
-python3-gdal and python3-numpy of Debian.
+difference from one cell of the truth to the next across that border, along the row or column of cells that runs most across
+it, which a seam would raise at 0. Needs python3-gdal and python3-numpy of Debian.
 """
 import json
 import sys
@@ -71,13 +71,18 @@ def main(surface, truth):
     made = np.full(true.shape, np.nan, np.float32)
     made[inside] = z[v[inside], u[inside]]
     off = made - true
+    jumps = np.full((2, *true.shape), np.nan, np.float32)  # along a row of cells, along a column
+    jumps[0, :, 1:] = np.abs(off[:, 1:] - off[:, :-1])
+    jumps[1, 1:] = np.abs(off[1:] - off[:-1])
     jump = np.full(true.shape, np.nan, np.float32)
-    jump[1:, 1:] = 0.5 * (np.abs(off[1:, 1:] - off[:-1, 1:]) + np.abs(off[1:, 1:] - off[1:, :-1]))
     distance = np.full(true.shape, np.inf, np.float32)
     for axis, at in zip(axes, meet):
         along = e * axis[0] + n * axis[1]
+        across = jumps[0] if abs(axis[0]) >= abs(axis[1]) else jumps[1]
         for border in at:
-            distance = np.minimum(distance, np.abs(along - border) / step)
+            here = np.abs(along - border) / step
+            jump = np.where(here < distance, across, jump)
+            distance = np.minimum(distance, here)
     print("cells from a border       cells      mean    median      jump")
     for low, high in zip(BANDS, BANDS[1:]):
         some = (distance >= low) & (distance < high) & np.isfinite(off)

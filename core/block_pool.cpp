@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/block_pool.h"
 
+#include "satsurf/core/memory_limits.h"
+
 #include <algorithm>
 #include <atomic>
 #include <cstdlib>
@@ -45,12 +47,13 @@ class BlockPool {
     const std::size_t bytes = rounded(asked);
     used_ -= bytes;
     auto* const start = static_cast<std::byte*>(block);
-    if (range_ == nullptr || start < range_ || start >= range_ + reserved_) return std::free(block);
+    std::byte* const range = range_.load(std::memory_order_acquire);
+    if (range == nullptr || start < range || start >= range + reserved_) return std::free(block);
     const std::lock_guard lock(mutex_);
     // Every block given out leaves room for the gap it may become, so this cannot run out.
     Gaps::node_type node = std::move(spare_.back());
     spare_.pop_back();
-    node.key() = static_cast<std::size_t>(start - range_);
+    node.key() = static_cast<std::size_t>(start - range);
     node.mapped() = bytes;
     auto gap = gaps_.insert(std::move(node)).position;
     if (auto next = std::next(gap); next != gaps_.end() && gap->first + gap->second == next->first)
@@ -63,10 +66,11 @@ class BlockPool {
   /// Hands the pages of all gaps back to the system.
   void release() noexcept {
     const std::lock_guard lock(mutex_);
+    std::byte* const range = range_;
     for (const auto& [offset, bytes] : gaps_) {
       const std::size_t first = (offset + kPage - 1) / kPage * kPage,
                         last = (offset + bytes) / kPage * kPage;
-      if (last > first) ::madvise(range_ + first, last - first, MADV_DONTNEED);
+      if (last > first) ::madvise(range + first, last - first, MADV_DONTNEED);
     }
   }
 
@@ -97,7 +101,7 @@ class BlockPool {
   /// nullptr where the system grants no more.
   void* from_range(std::size_t bytes) {
     const std::lock_guard lock(mutex_);
-    if (reserved_ == 0) reserve();
+    if (!std::exchange(asked_, true)) reserve();
     if (spare_.size() == spare_.capacity()) spare_.reserve(2 * spare_.size() + 64);
     auto gap = gaps_.begin();
     while (gap != gaps_.end() && gap->second < bytes) ++gap;
@@ -112,15 +116,21 @@ class BlockPool {
   }
 
   void reserve() {
-    const long pages = ::sysconf(_SC_PHYS_PAGES);
-    // Twice the memory there is leaves room for gaps; addresses alone cost nothing.
-    reserved_ = 2 * static_cast<std::size_t>(std::max(pages, 1L << 18)) * kPage;
+    const auto pages = static_cast<std::size_t>(std::max(::sysconf(_SC_PHYS_PAGES), 1L << 18));
+    const std::size_t memory = pages * kPage, left = addresses_left();
+    // Twice the memory there is leaves room for gaps; addresses alone cost nothing. Where they are
+    // limited, as many as there is memory stay for everything else, or the range alone would use
+    // the limit up.
+    const std::size_t bytes =
+        std::min(2 * memory, (left - std::min(left, memory)) / kGrowth * kGrowth);
+    if (bytes == 0) return;
     void* const at =
-        ::mmap(nullptr, reserved_, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+        ::mmap(nullptr, bytes, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
     if (at == MAP_FAILED) return;
-    range_ = static_cast<std::byte*>(at);
     // Only a wish: one page fault instead of 512 where the system has huge pages.
-    ::madvise(range_, reserved_, MADV_HUGEPAGE);
+    ::madvise(at, bytes, MADV_HUGEPAGE);
+    reserved_ = bytes;
+    range_.store(static_cast<std::byte*>(at), std::memory_order_release);
   }
 
   /// A gap at the end of what is in use, of at least `bytes`; end() where there can be none.
@@ -147,8 +157,10 @@ class BlockPool {
   }
 
   std::mutex mutex_;
-  std::byte* range_ = nullptr;
+  // Written once and last, behind `reserved_`: blocks of malloc's are given back without the lock.
+  std::atomic<std::byte*> range_{nullptr};
   std::size_t reserved_ = 0, open_ = 0;  // bytes of the range, and those that may be used so far
+  bool asked_ = false;                   // for the range, whether or not the system granted it
   Gaps gaps_;
   std::vector<Gaps::node_type> spare_;  // one per block given out
   std::atomic<std::size_t> used_{0}, peak_{0};

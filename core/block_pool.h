@@ -6,11 +6,13 @@
 /// Where the memory of tensors comes from, and how much of it there is.
 ///
 /// Blocks of 64 KiB and more are cut from one range of addresses, reserved at the first use and
-/// twice as large as the machine's memory. A block that is given back becomes a gap, joined with the
-/// gaps beside it, and the next block goes into the lowest gap that is large enough. Gaps keep the
-/// pages they have: filling a fresh page costs more than most kernels that fill it, so work that is
-/// repeated asks the system for nothing. They keep them until `release_tensor_cache()` or the end of
-/// the program. The range is opened in steps of 64 MiB and never closed.
+/// twice as large as the machine's memory, or smaller, down to none, so that a limit on addresses
+/// (`ulimit -v`) leaves as many as the machine's memory to everything else. A block that is given
+/// back becomes a gap, joined with the gaps beside it, and the next block goes into the lowest gap
+/// that is large enough. Gaps keep the pages they have: filling a fresh page costs more than most
+/// kernels that fill it, so work that is repeated asks the system for nothing. They keep them until
+/// `release_tensor_cache()` or the end of the program. The range is opened in steps of 64 MiB and
+/// never closed.
 ///
 /// Smaller blocks are malloc's, and so are those for which the range has no room, and all blocks
 /// under the sanitizers. Every block is aligned to 64 bytes and rounded up to a multiple of that.

@@ -20,7 +20,7 @@ class PackedTensor {
   /// Nothing is lost.
   static PackedTensor levels(const Tensor& t, float unit);
   /// In half precision (IEEE 754 binary16), rounded to the nearest: 11 significant bits; beyond 65504
-  /// infinite, below 6e-8 zero.
+  /// infinite, below 3e-8 zero.
   static PackedTensor halves(const Tensor& t);
 
   const Shape& shape() const { return shape_; }

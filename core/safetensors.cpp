@@ -143,9 +143,13 @@ Entry Reader::read_entry(const std::string& name, const json& object) const {
                __builtin_mul_overflow(wanted, extent, &wanted);
     extents.push_back(overflow ? 0 : static_cast<Index>(extent));
   }
+  try {
+    if (!overflow) e.shape = Shape(extents);
+  } catch (const ShapeError&) {  // its own limit is lower, and extents of 0 hide nothing from it
+    overflow = true;
+  }
   if (overflow)
     fail(what + " has shape " + shape.dump() + ", expected no more than a file can hold");
-  e.shape = Shape(extents);
 
   if (!offsets.is_array() || offsets.size() != 2)
     fail(what + " has data_offsets " + offsets.dump() + ", expected [begin,end]");

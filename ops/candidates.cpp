@@ -22,20 +22,30 @@ struct Weights {
   bool any = false;
 };
 
+/// Candidates alone say what there is: logits that are no numbers have to come out as such.
 template <class T>
 Weights weights_of(const T* logits, const T* candidates, Index K, Index P) {
   Weights out;
   double most = -INFINITY, sum = 0;
   for (Index k = 0; k < K; ++k)
-    if (std::isfinite(candidates[k * P])) most = std::max(most, static_cast<double>(logits[k * P]));
-  if (!(most > -INFINITY)) return out;
-  out.any = true;
+    if (std::isfinite(candidates[k * P])) {
+      out.any = true;
+      most = std::max(most, static_cast<double>(logits[k * P]));
+    }
   for (Index k = 0; k < K; ++k)
     if (std::isfinite(candidates[k * P]))
       sum += out.w[static_cast<std::size_t>(k)] =
           std::exp(static_cast<double>(logits[k * P]) - most);
-  for (double& w : out.w) w /= sum;
+  for (Index k = 0; k < K; ++k)
+    if (std::isfinite(candidates[k * P])) out.w[static_cast<std::size_t>(k)] /= sum;
   return out;
+}
+
+/// Calls body(number, its height) for the candidates of one cell that there are.
+template <class T, class Body>
+void each_candidate(const T* candidates, Index K, Index P, const Body& body) {
+  for (Index k = 0; k < K; ++k)
+    if (const T z = candidates[k * P]; std::isfinite(z)) body(k, static_cast<double>(z));
 }
 
 /// Cells and candidates of a call.
@@ -44,11 +54,12 @@ struct Size {
 };
 
 template <class T>
-Size size_of(Dims& dim, const BasicVar<T>& logits, const BasicTensor<T>& candidates) {
+Size size_of(const char* op, Dims& dim, const BasicVar<T>& logits,
+             const BasicTensor<T>& candidates) {
   dim.match("logits", logits, "K H W").match("candidates", candidates, "K H W");
   if (dim["K"] > kMost)
-    throw ShapeError("candidates have shape " + candidates.shape().str() + ", expected at most " +
-                     std::to_string(kMost) + " of them");
+    throw ShapeError(std::string(op) + ": candidates has shape " + candidates.shape().str() +
+                     ", expected K of at most " + std::to_string(kMost));
   return {dim["K"], dim["H"] * dim["W"]};
 }
 
@@ -81,8 +92,9 @@ double laplace_scale(double log_scale, double unit) { return unit * std::exp(lim
 template <class T>
 BasicVar<T> chosen_height(const BasicVar<T>& logits, const BasicVar<T>& residual,
                           const BasicTensor<T>& candidates, double reach) {
-  Dims dim("chosen_height");
-  const auto [K, P] = size_of(dim, logits, candidates);
+  constexpr const char* kOp = "chosen_height";
+  Dims dim(kOp);
+  const auto [K, P] = size_of(kOp, dim, logits, candidates);
   dim.match("residual", residual, "H W");
   auto out = BasicTensor<T>::uninitialised(residual.shape());
   const T *l = logits.value().data(), *r = residual.value().data(), *z = candidates.data();
@@ -90,14 +102,13 @@ BasicVar<T> chosen_height(const BasicVar<T>& logits, const BasicVar<T>& residual
     for (Index i = begin; i < end; ++i) {
       const Weights weights = weights_of(l + i, z + i, K, P);
       double h = weights.any ? reach * std::tanh(static_cast<double>(r[i])) : 0;
-      for (Index k = 0; k < K; ++k)
-        if (const double w = weights.w[static_cast<std::size_t>(k)]; w > 0)
-          h += w * static_cast<double>(z[k * P + i]);
+      each_candidate(z + i, K, P,
+                     [&](Index k, double at) { h += weights.w[static_cast<std::size_t>(k)] * at; });
       out[i] = static_cast<T>(h);
     }
   });
   return BasicVar<T>::record(
-      "chosen_height", std::move(out), {logits, residual}, [=, K = K, P = P](Node<T>& n) {
+      kOp, std::move(out), {logits, residual}, [=, K = K, P = P](Node<T>& n) {
         T *dl = n.grad_in(0), *dr = n.grad_in(1);
         const T *logit = n.in(0), *rest = n.in(1), *heights = candidates.data(), *g = n.grad.data();
         for_range(P, kGrain, [&](Index begin, Index end) {
@@ -111,13 +122,13 @@ BasicVar<T> chosen_height(const BasicVar<T>& logits, const BasicVar<T>& residual
             }
             if (dl == nullptr) continue;
             double mean = 0;
-            for (Index k = 0; k < K; ++k)
-              if (const double w = weights.w[static_cast<std::size_t>(k)]; w > 0)
-                mean += w * static_cast<double>(heights[k * P + i]);
-            for (Index k = 0; k < K; ++k)
-              if (const double w = weights.w[static_cast<std::size_t>(k)]; w > 0)
-                dl[k * P + i] +=
-                    static_cast<T>(d * w * (static_cast<double>(heights[k * P + i]) - mean));
+            each_candidate(heights + i, K, P, [&](Index k, double at) {
+              mean += weights.w[static_cast<std::size_t>(k)] * at;
+            });
+            each_candidate(heights + i, K, P, [&](Index k, double at) {
+              dl[k * P + i] +=
+                  static_cast<T>(d * weights.w[static_cast<std::size_t>(k)] * (at - mean));
+            });
           }
         });
       });
@@ -169,8 +180,9 @@ template <class T>
 BasicVar<T> candidate_cross_entropy(const BasicVar<T>& logits, const BasicTensor<T>& candidates,
                                     const BasicTensor<T>& truth, const BasicTensor<T>& weight,
                                     double unit) {
-  Dims dim("candidate_cross_entropy");
-  const auto [K, P] = size_of(dim, logits, candidates);
+  constexpr const char* kOp = "candidate_cross_entropy";
+  Dims dim(kOp);
+  const auto [K, P] = size_of(kOp, dim, logits, candidates);
   dim.match("truth", truth, "H W").match("weight", weight, "H W");
   // body(cell, its weights, their target, what it counts)
   const auto each = [=, K = K, P = P](const T* l, Index begin, Index end, const auto& body) {
@@ -193,7 +205,7 @@ BasicVar<T> candidate_cross_entropy(const BasicVar<T>& logits, const BasicTensor
     return piece;
   });
   return BasicVar<T>::record(
-      "candidate_cross_entropy", BasicTensor<T>::scalar(static_cast<T>(sums.mean())), {logits},
+      kOp, BasicTensor<T>::scalar(static_cast<T>(sums.mean())), {logits},
       [=, K = K, P = P](Node<T>& n) {
         T* dl = n.grad_in(0);
         if (dl == nullptr) return;
@@ -203,12 +215,11 @@ BasicVar<T> candidate_cross_entropy(const BasicVar<T>& logits, const BasicTensor
             // d(-sum q log(p + e))/dl_k = p_k sum_j q_j p_j / (p_j + e) - q_k p_k / (p_k + e)
             double sum = 0;
             for (std::size_t k = 0; k < kMost; ++k) sum += q.w[k] * p.w[k] / (p.w[k] + kLeast);
-            for (Index k = 0; k < K; ++k) {
+            each_candidate(candidates.data() + i, K, P, [&](Index k, double) {
               const auto at = static_cast<std::size_t>(k);
-              if (p.w[at] > 0)
-                dl[k * P + i] += static_cast<T>(
-                    factor * w * (p.w[at] * sum - q.w[at] * p.w[at] / (p.w[at] + kLeast)));
-            }
+              dl[k * P + i] += static_cast<T>(
+                  factor * w * (p.w[at] * sum - q.w[at] * p.w[at] / (p.w[at] + kLeast)));
+            });
           });
         });
       });

@@ -11,7 +11,7 @@ namespace satsurf {
 ///   h = sum_k w_k z_k + reach tanh(r),  w = softmax of the logits of the candidates there are
 /// so that most of a height is chosen, and only what is smaller than `reach` is made up. Where a cell
 /// has no candidate h is 0.
-/// logits      [K H W]
+/// logits      [K H W], K at most 16; may be anything where there is no candidate
 /// residual    [H W] r
 /// candidates  [K H W] m, NaN where there is none; they carry no gradient
 /// reach       m

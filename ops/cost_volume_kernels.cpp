@@ -212,7 +212,7 @@ void choose_pair(const SweepRow<T>& s, Index J, T unit, T* distances, Index i, s
   best = static_cast<std::int8_t>(chosen == J ? -1 : chosen);
   T* to = s.pair_tile + i * kPairStride;
   store<Quad>(to, load<Quad>(distances + 4 * chosen) * unit);
-  to[4] = counted / static_cast<T>(J);
+  to[4] = counted / static_cast<T>(J > 0 ? J : 1);  // 0 of 0 sources are none
 }
 
 template <class T, Index L, Index kJ, bool kPairs>

@@ -56,7 +56,10 @@ template <class T>
 BasicVar<T> add(BasicVar<T> a, BasicVar<T> b) {
   check_equal("add", a, b);
   auto out = a.reuse_or_new();
-  if (out.data() != a.value().data()) out = b.reuse_or_new();
+  if (out.data() != a.value().data()) {
+    out = {};  // or there would be two results for a moment
+    out = b.reuse_or_new();
+  }
   const T *pa = a.value().data(), *pb = b.value().data();
   T* y = out.data();
   each(out.count(), [=](Index i) { y[i] = pa[i] + pb[i]; });

@@ -98,6 +98,9 @@ BasicTensor<T> within_hypotheses(const BasicTensor<T>& heights, const BasicTenso
       .match("truth", truth, "B H W")
       .match("weight", weight, "B H W");
   const Index D = dim["D"], P = dim["H"] * dim["W"];
+  if (D == 0)
+    throw ShapeError("within_hypotheses: heights has shape " + heights.shape().str() +
+                     ", expected at least one hypothesis");
   BasicTensor<T> out = weight.clone();
   for_range(out.count(), 1 << 12, [&](Index begin, Index end) {
     for (Index i = begin; i < end; ++i)

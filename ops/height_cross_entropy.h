@@ -10,9 +10,9 @@ namespace satsurf {
 ///   -sum_d q_d log(P_d + 1e-12),  q the two hypotheses around the truth, by linear interpolation
 /// so that the target's expectation is the truth. Within half an interval beyond the first or last
 /// hypothesis that one is the target; farther out no weight can reach the truth, and the pixel does
-/// not count.
+/// not count. A single hypothesis has no interval: it is the target of every truth.
 /// Source: after Chen et al. 2019 and Xu et al. 2024 (unimodal targets).
-/// probability  [B D H W]
+/// probability  [B D H W], D at least 1
 /// heights      [B D H W] m, rising with d by the same interval everywhere
 /// truth        [B H W] m; may be anything where the weight is 0
 /// weight       [B H W]

@@ -14,7 +14,7 @@ namespace satsurf {
 /// weight   x's shape, or an empty tensor for ones
 /// beta     where the distance turns linear, in units of x
 /// returns  a scalar
-/// throws   ShapeError
+/// throws   ShapeError, ConfigError for a beta that is not above 0
 template <class T>
 BasicVar<T> smooth_l1(const BasicVar<T>& x, const BasicTensor<T>& target,
                       const BasicTensor<T>& weight, T beta);

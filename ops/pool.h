@@ -15,7 +15,7 @@ struct PoolOptions {
 /// x        [B C H W]
 /// returns  [B C H' W'] with H' = (H - kernel) / stride + 1, rounded down, or up in ceil mode;
 ///          likewise W'
-/// throws   ShapeError
+/// throws   ShapeError, ConfigError for a kernel or stride below 1
 template <class T>
 BasicVar<T> max_pool2d(const BasicVar<T>& x, const PoolOptions& options);
 

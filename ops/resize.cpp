@@ -122,6 +122,10 @@ BasicVar<T> resample(const char* op, const BasicVar<T>& x, const Size<T>& size, 
     const T *a = plane + v.low[i] * W, *b = plane + v.high[i] * W;
     T* y = out.data() + (p * out_H + i) * out_W;
     if (doubles && h.nearest) return kernels.repeat(W, a, y);
+    if (h.nearest) {  // copied: mixing would make NaN of infinity, and of -0 a 0
+      for (Index j = 0; j < out_W; ++j) y[j] = a[h.low[j]];
+      return;
+    }
     T* mixed = scratch_row<T>(W);
     kernels.between(W, a, b, static_cast<T>(v.weight[i]), mixed);
     if (doubles) {
@@ -161,6 +165,10 @@ BasicVar<T> resample(const char* op, const BasicVar<T>& x, const Size<T>& size, 
           if (doubles) {
             extend(mixed, out_W);
             return kernels.expand_backward(W, mixed, d.accumulate, to);
+          }
+          if (h.nearest) {
+            for (Index j = 0; j < out_W; ++j) to[h.low[j]] += mixed[j];
+            return;
           }
           for (Index j = 0; j < out_W; ++j) {
             const T w = static_cast<T>(h.weight[j]), m = mixed[j];

@@ -78,20 +78,18 @@ class Reader {
     return count_;
   }
 
-  /// Copies the surfels of such a file, of which every number is checked.
-  void copy_to(std::ostream& out) {
+  /// The next surfels of such a file as they lie there, of which every number is checked; none at
+  /// the end. They live until the next call.
+  std::string_view next_rows() {
     constexpr std::uintmax_t kTogether = 1 << 14;  // surfels; some 1 MB
-    std::vector<float> rows;
-    for (std::uintmax_t p = 0; p < count_;) {
-      const std::uintmax_t n = std::min(kTogether, count_ - p);
-      rows.resize(n * kNames.size());
-      const auto bytes = static_cast<std::streamsize>(rows.size() * sizeof(float));
-      if (!in_.read(reinterpret_cast<char*>(rows.data()), bytes))
-        fail("vertex " + std::to_string(p) + " cannot be read");
-      for (const float* row = rows.data(); row != rows.data() + rows.size(); row += kNames.size())
-        check_row(static_cast<Index>(p++), row);
-      out.write(reinterpret_cast<const char*>(rows.data()), bytes);
-    }
+    rows_.resize(std::min(kTogether, count_ - copied_) * kNames.size());
+    const std::size_t bytes = rows_.size() * sizeof(float);
+    auto* const to = reinterpret_cast<char*>(rows_.data());
+    if (!in_.read(to, static_cast<std::streamsize>(bytes)))
+      fail("vertex " + std::to_string(copied_) + " cannot be read");
+    for (const float* row = rows_.data(); row != rows_.data() + rows_.size(); row += kNames.size())
+      check_row(static_cast<Index>(copied_++), row);
+    return {to, bytes};
   }
 
   PlyContent read() {
@@ -237,7 +235,8 @@ class Reader {
   std::filesystem::path path_;
   std::ifstream in_;
   std::vector<std::string> comments_, properties_;
-  std::uintmax_t count_ = 0;
+  std::uintmax_t count_ = 0, copied_ = 0;
+  std::vector<float> rows_;
 };
 
 /// The header of a file.
@@ -327,23 +326,19 @@ std::vector<Index> join_ply(const std::filesystem::path& path,
     const std::uintmax_t count = Reader(part).count_alike();
     counts.push_back(static_cast<Index>(count)), all += count;
   }
-  std::filesystem::path work = path;
-  work += ".part";
-  std::ofstream out(work, std::ios::binary | std::ios::trunc);
-  out << header_of(path, all, comments, false);
-  for (const std::filesystem::path& part : parts) {
-    Reader reader(part);  // one at a time: there may be more than files that may be open
-    reader.count_alike();
-    reader.copy_to(out);
-  }
-  out.close();
-  const auto fail = [](const std::filesystem::path& file, const std::string& what) {
-    throw IoError("join_ply: " + file.string() + ": " + what);
-  };
-  std::error_code error;
-  if (!out) fail(work, "cannot be written");
-  std::filesystem::rename(work, path, error);
-  if (error) fail(path, "cannot be put in its place (" + error.message() + ")");
+  const std::string header = header_of(path, all, comments, false);
+  bool begun = false;
+  std::size_t next = 0;
+  std::optional<Reader> reader;  // one at a time: there may be more than files that may be open
+  atomic_write(path, [&]() -> std::string_view {
+    if (!std::exchange(begun, true)) return header;
+    while (true) {
+      if (reader)
+        if (const std::string_view rows = reader->next_rows(); !rows.empty()) return rows;
+      if (next == parts.size()) return {};
+      reader.emplace(parts[next++]).count_alike();
+    }
+  });
   return counts;
 }
 

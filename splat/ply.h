@@ -26,7 +26,8 @@ namespace satsurf::splat {
 void write_ply(const std::filesystem::path& path, const Surfels& surfels,
                const std::vector<std::string>& comments, bool two_scales = false);
 
-/// Puts files of `write_ply` one behind the other, without reading them into memory.
+/// Puts files of `write_ply` one behind the other, without reading them into memory. Written to a
+/// temporary name and renamed.
 /// parts     files with all three scales; none makes a file without surfels
 /// comments  of the result
 /// returns   how many surfels each part holds

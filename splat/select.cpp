@@ -30,15 +30,22 @@ Tensor rows_of(const Tensor& t, const std::vector<Index>& keep) {
 
 template <class T>
 BasicSurfels<T> joined(const std::vector<BasicSurfels<T>>& parts) {
+  if (parts.empty()) throw ShapeError("joined: no sets, expected one or more");
   if (parts.size() == 1) return parts[0];
-  const auto join = [&](BasicVar<T> BasicSurfels<T>::*member) {
+  const auto join = [&](const char* name, BasicVar<T> BasicSurfels<T>::*member) {
     std::vector<BasicVar<T>> list;
-    for (const auto& p : parts) list.push_back(p.*member);
+    for (const auto& p : parts)
+      if (!(p.*member).empty()) list.push_back(p.*member);
+    if (list.empty()) return BasicVar<T>();
+    if (list.size() != parts.size())
+      throw ShapeError(std::string("joined: ") + std::to_string(list.size()) + " of " +
+                       std::to_string(parts.size()) + " sets have " + name +
+                       ", expected all or none");
     return concat(list, 0);
   };
   using S = BasicSurfels<T>;
-  return {join(&S::means),   join(&S::quats),   join(&S::scales),
-          join(&S::opacity), join(&S::colours), join(&S::aux)};
+  return {join("means", &S::means),     join("quats", &S::quats),     join("scales", &S::scales),
+          join("opacity", &S::opacity), join("colours", &S::colours), join("aux", &S::aux)};
 }
 
 Surfels selected(const Surfels& s, const std::vector<Index>& keep) {

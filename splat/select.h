@@ -8,7 +8,8 @@
 namespace satsurf::splat {
 
 /// The surfels of several sets, one set behind the other.
-/// parts  one or more
+/// parts   one or more; a tensor that none of them has is left out
+/// throws  ShapeError for none, and where some of them have a tensor that others do not
 template <class T>
 BasicSurfels<T> joined(const std::vector<BasicSurfels<T>>& parts);
 

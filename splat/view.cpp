@@ -34,7 +34,8 @@ Tensor surface_heights(const Render& render) {
   const Tensor &alphas = render.alpha.value(), &means = render.height.value();
   for_range(z.count(), kGrain, [&](Index begin, Index end) {
     for (Index i = begin; i < end; ++i)
-      if (const float alpha = alphas[i]; !(alpha > 0.5f))
+      // Just above a half, rounding may leave the transmittance there: then there is no median.
+      if (const float alpha = alphas[i]; !(alpha > 0.5f) || std::isnan(z[i]))
         z[i] = alpha > kSeen ? means[i] : std::nanf("");
   });
   return z;

@@ -1,8 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/block_pool.h"
+#include "satsurf/core/memory_limits.h"
 #include "satsurf/core/tensor.h"
 
+#include <algorithm>
+#include <cstdint>
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+
 #include <doctest/doctest.h>
+#include <unistd.h>
 
 using namespace satsurf;
 
@@ -25,4 +33,37 @@ TEST_CASE("block pool: bytes in use are counted, and blocks come back") {
   CHECK(Tensor({kCount}).data() == address);
 #endif
   release_tensor_cache();
+}
+
+namespace {
+
+/// Bytes of memory there are.
+std::uint64_t memory() {
+  return static_cast<std::uint64_t>(std::max(sysconf(_SC_PHYS_PAGES), 1L << 18)) * 4096;
+}
+
+}  // namespace
+
+// The range is reserved once, so this wants a process of its own: the next test starts it.
+TEST_CASE("block pool: child process under a limit on addresses" * doctest::skip()) {
+  REQUIRE(addresses_left() != kUnlimited);
+  const Tensor t({1 << 20});
+  CHECK(addresses_left() > memory() - memory() / 8);
+}
+
+TEST_CASE("block pool: a limit on addresses is not used up by the range") {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+  return;  // they take more addresses than there is any limit on
+#endif
+  if (addresses_left() != kUnlimited) return;  // which might not be raised
+  const std::string self = std::filesystem::read_symlink("/proc/self/exe").string();
+  const auto run = [&](std::uint64_t limit) {
+    const std::string command = "ulimit -v " + std::to_string(limit >> 10) + " && '" + self +
+                                "' --no-skip --test-case='block pool: child process*' >/dev/null";
+    return std::system(command.c_str());
+  };
+  for (const double times : {1.5, 2.1, 3.0, 5.0}) {
+    CAPTURE(times);
+    CHECK(run(static_cast<std::uint64_t>(times * static_cast<double>(memory()))) == 0);
+  }
 }

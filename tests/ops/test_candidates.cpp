@@ -2,7 +2,10 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/candidates.h"
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
 #include <vector>
 
 #include "tests/gradcheck.h"
@@ -35,6 +38,44 @@ TEST_CASE("chosen_height by hand") {
   CHECK(h[0] == doctest::Approx((1 + 2 * 3 + 9) / 4.0));
   CHECK(h[1] == doctest::Approx(6 + 2 * std::tanh(0.5)));
   CHECK(h[2] == 0);  // nothing to choose from
+}
+
+TEST_CASE("logits that are no numbers stay visible, where there is something to choose") {
+  const double inf = std::numeric_limits<double>::infinity();
+  // of the last two cells the second candidate is missing, and both
+  const auto z =
+      BasicTensor<double>::from({2, 1, 5}, {10, 10, 10, 10, kNan, 20, 20, 20, kNan, kNan});
+  const auto l = BasicTensor<double>::from({2, 1, 5}, {kNan, kNan, -inf, 1, kNan,  //
+                                                       kNan, 0, -inf, kNan, kNan});
+  BasicVar<double> logits(l, true);
+  const BasicVar<double> h =
+      chosen_height(logits, BasicVar<double>(BasicTensor<double>({1, 5})), z, 2);
+  for (Index i = 0; i < 3; ++i) CHECK(std::isnan(h.value()[i]));
+  CHECK(h.value()[3] == 10);
+  CHECK(h.value()[4] == 0);
+  h.backward(BasicTensor<double>({1, 5}, 1.0));
+  for (const Index i : {0, 1, 2, 5, 6, 7}) CHECK(std::isnan(logits.grad()[i]));
+  for (const Index i : {3, 4, 8, 9}) CHECK(logits.grad()[i] == 0);
+
+  const auto loss = [&](Index cell) {
+    BasicTensor<double> weight({1, 5});
+    weight[cell] = 1;
+    return candidate_cross_entropy(logits, z, BasicTensor<double>({1, 5}, 11.0), weight, 1.0);
+  };
+  for (const Index cell : {0, 1, 2}) {
+    CAPTURE(cell);
+    CHECK(std::isnan(loss(cell).value().item()));
+  }
+  CHECK(loss(3).value().item() == doctest::Approx(0));
+  CHECK(loss(4).value().item() == 0);
+  logits.clear_grad();
+  loss(1).backward();
+  CHECK(std::isnan(logits.grad()[1]));
+  CHECK(std::isnan(logits.grad()[6]));
+  CHECK(logits.grad()[3] == 0);
+  const NanGuard guard;
+  CHECK_THROWS_AS(chosen_height(logits, BasicVar<double>(BasicTensor<double>({1, 5})), z, 2),
+                  Error);
 }
 
 TEST_CASE("chosen_height: gradient and threads") {
@@ -75,8 +116,40 @@ TEST_CASE("laplace_loss: gradient") {
   const auto t = normal({6, 7}, 3, 3);
   BasicTensor<double> w = normal({6, 7}, 4);
   for (double& v : w.values()) v = std::max(v, 0.0);
+  BasicTensor<double> s = normal({6, 7}, 2);
+  for (Index i = 0; i < s.count(); i += 5) s[i] = i % 2 == 0 ? 9 : -9;  // beyond the limits
   CHECK(gradcheck([&](const test::DoubleVars& v) { return laplace_loss(v[0], v[1], t, w, 0.7); },
-                  {normal({6, 7}, 1, 3), normal({6, 7}, 2)}));
+                  {normal({6, 7}, 1, 3), s}));
+  const BasicVar<double> log_scale(s, true);
+  laplace_loss(BasicVar<double>(normal({6, 7}, 1, 3)), log_scale, t, w, 0.7).backward();
+  for (Index i = 0; i < s.count(); ++i) {
+    CAPTURE(i);
+    CHECK((log_scale.grad()[i] != 0) == (i % 5 != 0 && w[i] > 0));
+  }
+}
+
+TEST_CASE("the losses of candidates give the same bits for any number of threads") {
+  const Shape map{90, 70};
+  Tensor weight = normal(map, 6).cast<float>(), z = normal({4, 90, 70}, 5).cast<float>();
+  for (float& v : weight.values()) v = std::max(v, 0.f);
+  for (Index i = 0; i < z.count(); i += 7) z[i] = std::numeric_limits<float>::quiet_NaN();
+  const Tensor truth = normal(map, 7).cast<float>();
+  const auto run = [&](int threads) {
+    set_threads(threads);
+    const Var h(normal(map, 1).cast<float>(), true), s(normal(map, 2).cast<float>(), true),
+        l(normal({4, 90, 70}, 3).cast<float>(), true);
+    const Var likelihood = laplace_loss(h, s, truth, weight, 0.5),
+              entropy = candidate_cross_entropy(l, z, truth, weight, 0.5);
+    likelihood.backward();
+    entropy.backward();
+    set_threads(0);
+    return std::vector<Tensor>{likelihood.value(), entropy.value(), h.grad(), s.grad(), l.grad()};
+  };
+  const auto one = run(1), two = run(2);
+  CHECK(one[0].item() > 0);
+  CHECK(one[1].item() > 0);
+  for (std::size_t k = 0; k < one.size(); ++k)
+    for (Index i = 0; i < one[k].count(); ++i) REQUIRE(one[k][i] == two[k][i]);
 }
 
 TEST_CASE("candidate_cross_entropy by hand") {
@@ -114,7 +187,12 @@ TEST_CASE("what does not fit is refused") {
                        "logits, W=5 from logits",
                        ShapeError);
   const BasicTensor<double> many({17, 1, 1});
-  CHECK_THROWS_AS(
-      chosen_height(BasicVar<double>(many), BasicVar<double>(BasicTensor<double>({1, 1})), many, 1),
+  const BasicTensor<double> one({1, 1});
+  CHECK_THROWS_WITH_AS(chosen_height(BasicVar<double>(many), BasicVar<double>(one), many, 1),
+                       "chosen_height: candidates has shape [17,1,1], expected K of at most 16",
+                       ShapeError);
+  CHECK_THROWS_WITH_AS(
+      candidate_cross_entropy(BasicVar<double>(many), many, one, one, 1),
+      "candidate_cross_entropy: candidates has shape [17,1,1], expected K of at most 16",
       ShapeError);
 }

@@ -51,7 +51,7 @@ const std::vector<Case> kCases = {
     {"2D down, left out columns", 1, 3, 34, {1, 9, 50}, {1, 4, 3}, {1, 3, 2}, {0, 1, 0}},
     {"2D many channels", 1, 35, 12, {1, 7, 9}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
     {"2D tall enough for several chunks", 1, 33, 2, {1, 90, 70}, {1, 3, 3}, {1, 1, 1}, {0, 1, 1}},
-    // enough outputs for rows to be mixed, see conv_winograd.h
+    // enough outputs for rows to be mixed, see ops/conv/winograd.h
     {"mixed rows", 2, 5, 11, {4, 13, 35}, {3, 3, 3}, {1, 1, 1}, {1, 1, 1}},
     {"mixed rows, one output, no padding", 1, 9, 1, {6, 21, 20}, {3, 3, 3}, {1, 1, 1}, {0, 0, 0}},
     {"mixed rows, short ones", 3, 2, 3, {9, 19, 3}, {3, 3, 3}, {1, 1, 1}, {1, 1, 1}},

@@ -1,13 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/cost_volume.h"
+#include "satsurf/ops/cost_volume_kernels.h"
 
+#include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <string>
+#include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "tests/gradcheck.h"
+#include "tests/isa_variants.h"
 #include "tests/ref/cost_volume_ref.h"
 
 using namespace satsurf;
@@ -224,6 +231,21 @@ TEST_CASE("the best pair's channels agree with their definition, the others stay
       }
 }
 
+TEST_CASE("without another view there is neither variance nor a pair") {
+  const Scene s = scene(1, 6, 3, 5, 70, 0, 12);
+  const auto check = [&]<class T>(T) {
+    const BasicVar<T> f(s.features.cast<T>(), true);
+    const BasicVar<T> v = plane_sweep_variance(f, 0, s.maps, s.heights.cast<T>(), s.valid.cast<T>(),
+                                               {.best_pair = true});
+    REQUIRE(v.shape() == Shape{6 + kPairChannels, 3, 5, 70});
+    for (Index i = 0; i < v.count(); ++i) REQUIRE(v.value()[i] == 0);
+    v.backward(BasicTensor<T>(v.shape(), T(1)));
+    for (Index i = 0; i < f.count(); ++i) REQUIRE(f.grad()[i] == 0);
+  };
+  check(0.F);
+  check(0.0);
+}
+
 TEST_CASE("the best pair's gradient") {
   const std::vector<std::array<Index, 6>> cases = {
       {3, 2, 2, 7, 6, 1}, {2, 3, 2, 3, 5, 0}, {4, 5, 2, 4, 3, 2}, {3, 2, 2, 3, 66, 2}};
@@ -309,21 +331,171 @@ TEST_CASE("heights that are not numbers count no source view") {
 
 TEST_CASE("plane_sweep_variance gives the same bits for any number of threads") {
   const Scene s = scene(3, 9, 3, 37, 41, 1, 8);
-  const auto run = [&](int threads) {
-    set_threads(threads);
-    const Var f(s.features.cast<float>(), true);
-    const Var v =
-        plane_sweep_variance(f, 1, s.maps, s.heights.cast<float>(), s.valid.cast<float>());
-    Rng rng(9);
-    v.backward(normal_tensor<float>(v.shape(), rng));
-    set_threads(0);
-    return std::pair(v.value(), f.grad());
-  };
-  const auto one = run(1), two = run(2), four = run(4);
-  for (const auto& other : {two, four}) {
-    for (Index i = 0; i < one.first.count(); ++i) REQUIRE(one.first[i] == other.first[i]);
-    for (Index i = 0; i < one.second.count(); ++i) REQUIRE(one.second[i] == other.second[i]);
+  for (const bool best_pair : {false, true}) {
+    CAPTURE(best_pair);
+    const auto run = [&](int threads) {
+      set_threads(threads);
+      const Var f(s.features.cast<float>(), true);
+      const Var v = plane_sweep_variance(f, 1, s.maps, s.heights.cast<float>(),
+                                         s.valid.cast<float>(), {.best_pair = best_pair});
+      Rng rng(9);
+      v.backward(normal_tensor<float>(v.shape(), rng));
+      set_threads(0);
+      return std::pair(v.value(), f.grad());
+    };
+    const auto one = run(1), two = run(2), four = run(4);
+    for (const auto& other : {two, four}) {
+      for (Index i = 0; i < one.first.count(); ++i) REQUIRE(one.first[i] == other.first[i]);
+      for (Index i = 0; i < one.second.count(); ++i) REQUIRE(one.second[i] == other.second[i]);
+    }
   }
+}
+
+namespace {
+
+template <class T>
+struct Swept {
+  BasicTensor<T> volume, gradient;
+};
+
+/// What plane_sweep_variance does, one row after the other, with kernels of one's choice. Scratch
+/// begins as NaN, which would be seen.
+template <class T>
+Swept<T> sweep(const SweepKernels<T>& kernels, const Scene& s, bool include, bool best_pair,
+               const BasicTensor<T>& g) {
+  const Index N = s.features.dim(0), C = s.features.dim(1), H = s.features.dim(2),
+              W = s.features.dim(3), D = s.heights.dim(0), J = N - 1, P = H * W,
+              Cs = C <= 4   ? 4
+                   : C <= 8 ? 8
+                            : (C + 15) / 16 * 16;
+  const auto features = s.features.cast<T>(), heights = s.heights.cast<T>(),
+             valid = s.valid.cast<T>();
+  const auto scratch = [](Index count) {
+    return BasicTensor<T>({count}, std::numeric_limits<T>::quiet_NaN());
+  };
+  BasicTensor<T> pixels = scratch(N * P * Cs), tile = scratch(kSweepTile * Cs),
+                 reference_tile = scratch(kSweepTile * Cs), samples = scratch(J * Cs),
+                 pair_tile = scratch(kSweepTile * kPairStride),
+                 distances = scratch((J + 1) * kDistanceLanes);
+  for (Index r = 0; r < N * H; ++r)
+    kernels.to_pixels(features.data() + (r / H * C * H + r % H) * W, P, W, C, Cs,
+                      pixels.data() + r * W * Cs);
+  std::vector<Index> views;
+  for (Index j = 0; j < N; ++j)
+    if (j != s.reference) views.push_back(j);
+  std::vector<const T*> sources, masks;
+  for (const Index j : views) {
+    sources.push_back(pixels.data() + j * P * Cs);
+    masks.push_back(valid.data() + j * P);
+  }
+  const auto count = static_cast<std::size_t>(J);
+  std::vector<SweepMap> maps(count);
+  std::vector<SweepLines<T>> lines(count);
+  std::vector<SweepTaps<T>> taps(count);
+  std::vector<std::int8_t> best(static_cast<std::size_t>(D * P));
+  SweepRow<T> row{.H = H,
+                  .W = W,
+                  .C = C,
+                  .Cs = Cs,
+                  .D = D,
+                  .J = J,
+                  .maps = maps.data(),
+                  .sources = sources.data(),
+                  .valid = masks.data(),
+                  .reference = nullptr,
+                  .reference_counts = include ? T(1) : T(0),
+                  .heights = nullptr,
+                  .plane = P,
+                  .best = nullptr,
+                  .lines = lines.data(),
+                  .taps = taps.data(),
+                  .tile = tile.data(),
+                  .reference_tile = reference_tile.data(),
+                  .samples = samples.data(),
+                  .pair_tile = pair_tile.data(),
+                  .distances = distances.data()};
+  const auto at_row = [&](Index y) {
+    for (std::size_t j = 0; j < count; ++j) {
+      const Quadratic& q = s.maps[static_cast<std::size_t>(views[j])];
+      const double b = (static_cast<double>(y) - q.offset[1]) / q.scale[1];
+      maps[j] = {1 / q.scale[0], -q.offset[0] / q.scale[0], 1 / q.scale[2], q.offset[2], {}, {}};
+      for (std::size_t k = 0; k < 2; ++k) {
+        const auto& c = q.coeff[k];
+        double* to = k == 0 ? maps[j].u : maps[j].v;
+        to[0] = c[0] + b * (c[2] + b * c[7]), to[1] = c[1] + b * c[5], to[2] = c[4];
+        to[3] = c[3] + b * c[8], to[4] = c[6], to[5] = c[9];
+      }
+    }
+    row.reference = pixels.data() + (s.reference * H + y) * W * Cs;
+    row.heights = heights.data() + y * W;
+    if (best_pair) row.best = best.data() + y * W;
+  };
+  Swept<T> out{BasicTensor<T>({C + (best_pair ? kPairChannels : 0), D, H, W}),
+               BasicTensor<T>({N, C, H, W})};
+  std::vector<std::int32_t> touched(2 * count);
+  for (Index y = 0; y < H; ++y) {
+    at_row(y);
+    kernels.forward(row, out.volume.data() + y * W, touched.data());
+    for (std::size_t j = 0; j < count; ++j)
+      CHECK((
+          touched[2 * j + 1] == -1 ||
+          (touched[2 * j] >= 0 && touched[2 * j] <= touched[2 * j + 1] && touched[2 * j + 1] < H)));
+  }
+  BasicTensor<T> partial({J, H, W * Cs});
+  std::vector<T*> d_sources;
+  for (Index j = 0; j < J; ++j) d_sources.push_back(partial.data() + j * P * Cs);
+  const std::vector<std::int32_t> first(count);
+  for (Index y = 0; y < H; ++y) {
+    at_row(y);
+    kernels.backward(row, g.data() + y * W, out.gradient.data() + (s.reference * C * H + y) * W,
+                     d_sources.data(), first.data());
+  }
+  for (Index j = 0; j < J; ++j)
+    for (Index y = 0; y < H; ++y) {
+      const T* const add = d_sources[static_cast<std::size_t>(j)] + y * W * Cs;
+      kernels.add_rows(&add, 1, W, C, Cs,
+                       out.gradient.data() + (views[static_cast<std::size_t>(j)] * C * H + y) * W,
+                       P, tile.data());
+    }
+  return out;
+}
+
+}  // namespace
+
+TEST_CASE_TEMPLATE("sweep kernels of every instruction set", T, float, double) {
+  const double tolerance = std::is_same_v<T, float> ? 2e-4 : 1e-11;
+  // one, two and three sources, channels of every stride, more pixels than a tile
+  const std::vector<std::array<Index, 6>> cases = {{2, 3, 4, 5, 66, 1},
+                                                   {3, 5, 2, 6, 70, 0},
+                                                   {3, 16, 2, 5, 9, 2},
+                                                   {4, 17, 2, 5, 8, 2},
+                                                   {4, 32, 2, 4, 67, 3}};
+  for (const auto& [N, C, D, H, W, reference] : cases)
+    for (const bool include : {false, true})
+      for (const bool best_pair : {false, true}) {
+        const Scene s = scene(N, C, D, H, W, reference, static_cast<std::uint64_t>(90 + C));
+        const BasicVar<double> f(s.features, true);
+        const BasicVar<double> v =
+            plane_sweep_variance(f, reference, s.maps, s.heights, s.valid,
+                                 {.include_reference = include, .best_pair = best_pair});
+        const auto g = normal(v.shape(), 3);
+        v.backward(g);
+        const auto oracle =
+            plane_sweep_variance_ref(s.features, reference, s.maps, s.heights, s.valid, include);
+        for (const auto& kernels : test::kernel_variants<SweepKernels<T>>()) {
+          CAPTURE(kernels.name);
+          CAPTURE(N);
+          CAPTURE(C);
+          CAPTURE(include);
+          CAPTURE(best_pair);
+          const Swept<T> got = sweep<T>(kernels, s, include, best_pair, g.cast<T>());
+          CHECK(worst_difference(got.volume.template cast<double>(), v.value()) < tolerance);
+          CHECK(worst_difference(got.gradient.template cast<double>(), f.grad()) < tolerance);
+          for (Index i = 0; i < oracle.count(); ++i)
+            REQUIRE(std::abs(static_cast<double>(got.volume[i]) - oracle[i]) <=
+                    tolerance * std::max(1.0, oracle[i]));
+        }
+      }
 }
 
 TEST_CASE("plane_sweep_variance adds to gradients that are already there") {

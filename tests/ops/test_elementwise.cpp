@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/block_pool.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/elementwise.h"
@@ -209,4 +210,20 @@ TEST_CASE("without a tape the last copy's buffer takes the result, and nobody el
   Var left = fresh(a);
   const float* const buffer = left.value().data();
   CHECK(add(std::move(left), Var(b)).value().data() != buffer);  // a tape might read it again
+}
+
+TEST_CASE("add never holds two results") {
+  const Index n = 1 << 18;
+  const Var a(Tensor({n}, 1.f)), b(Tensor({n}, 2.f));
+  reset_peak_tensor_bytes();
+  const std::size_t before = tensor_bytes();
+  const Var sum = add(a, b);
+  CHECK(peak_tensor_bytes() == before + static_cast<std::size_t>(n) * sizeof(float));
+  CHECK(sum.value()[n - 1] == 3);
+  const NoGrad no_grad;
+  Var right(Tensor({n}, 5.f));
+  const float* const buffer = right.value().data();
+  const Var last = add(a, std::move(right));
+  CHECK(last.value().data() == buffer);
+  CHECK(last.value()[0] == 6);
 }

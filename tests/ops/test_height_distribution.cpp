@@ -91,6 +91,10 @@ TEST_CASE("height_cross_entropy by hand") {
   CHECK(inside[1] == 2);
   CHECK(inside[2] == 0);
   CHECK(inside[3] == 0);
+
+  const BasicTensor<double> alone({1, 1, 1, 4}, 5.0), weights({1, 1, 4}, 2.0);
+  const auto reached = within_hypotheses(alone, t, weights);
+  for (Index i = 0; i < 4; ++i) CHECK(reached[i] == 2);
 }
 
 TEST_CASE("height_cross_entropy: gradient through the softmax, least at the truth, threads") {
@@ -146,4 +150,8 @@ TEST_CASE("mode_height and height_cross_entropy refuse") {
                        ConfigError);
   CHECK_THROWS_AS(height_cross_entropy(p, z, BasicTensor<double>({1, 2, 1}), map), ShapeError);
   CHECK_THROWS_AS(within_hypotheses(z, map, BasicTensor<double>({2, 2})), ShapeError);
+  CHECK_THROWS_WITH_AS(
+      within_hypotheses(BasicTensor<double>({1, 0, 2, 2}), map, map),
+      "within_hypotheses: heights has shape [1,0,2,2], expected at least one hypothesis",
+      ShapeError);
 }

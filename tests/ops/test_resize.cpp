@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 
 #include "tests/gradcheck.h"
 #include "tests/isa_variants.h"
@@ -138,6 +139,19 @@ TEST_CASE("twice the size keeps a constant to the bit") {
   const Var x(Tensor({2, 5, 37}, 0.1f));
   const Tensor y = resize_bilinear(x, 10, 74).value();
   for (Index i = 0; i < y.count(); ++i) REQUIRE(y[i] == 0.1f);
+}
+
+TEST_CASE("resize_nearest copies, and leaves infinity as it is") {
+  const float inf = std::numeric_limits<float>::infinity();
+  for (const Index width : {2, 4, 7, 8, 12}) {
+    CAPTURE(width);
+    const Var x(Tensor({3, 4}, inf), true);
+    const Var y = resize_nearest(x, 5, width);
+    for (Index i = 0; i < y.count(); ++i) CHECK(y.value()[i] == inf);
+    y.backward(Tensor(y.shape(), inf));
+    for (Index i = 0; i < x.count(); ++i)
+      CHECK((x.grad()[i] == inf || (width < 4 && x.grad()[i] == 0)));
+  }
 }
 
 TEST_CASE("area_downsample takes the mean of each block") {

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/isa.h"
+#include "satsurf/core/parallel.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/splat/rasterize_kernels.h"
 #include "satsurf/splat/surfel_kernels.h"
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
 #include <utility>
 #include <vector>
 
@@ -167,6 +170,52 @@ TEST_CASE("front_to_back: descending, stable, without culled surfels") {
   const std::vector<double> fine{1.0, 1.0 + 1e-15, 1.0 - 1e-15};
   CHECK(front_to_back(std::vector<Box>(3, Box{0, 0, 0, 0}), fine.data(), 1) ==
         std::vector<std::int32_t>{1, 0, 2});
+}
+
+TEST_CASE_TEMPLATE("front_to_back and bin of several pieces of work, on one thread and two", T,
+                   float, double) {
+  const Index P = 40'000, H = 70, W = 150;
+  Rng rng(23);
+  std::vector<Box> boxes(static_cast<std::size_t>(P));
+  std::vector<T> heights(2 * static_cast<std::size_t>(P));
+  for (std::size_t p = 0; p < boxes.size(); ++p) {
+    // many heights are equal, and every third surfel is culled
+    heights[2 * p] = static_cast<T>(std::floor(rng.uniform(-300, 300)) / 3);
+    heights[2 * p + 1] = static_cast<T>(rng.uniform());
+    if (rng.chance(0.33)) continue;
+    const auto x = static_cast<std::int32_t>(rng.uniform(0, static_cast<double>(W))),
+               y = static_cast<std::int32_t>(rng.uniform(0, static_cast<double>(H))),
+               side = static_cast<std::int32_t>(rng.uniform(0, 40));
+    boxes[p] = {x, y, std::min(x + side, static_cast<std::int32_t>(W - 1)),
+                std::min(y + side, static_cast<std::int32_t>(H - 1))};
+  }
+  std::vector<std::int32_t> want;
+  for (std::int32_t p = 0; p < P; ++p)
+    if (boxes[static_cast<std::size_t>(p)].x1 >= 0) want.push_back(p);
+  std::ranges::stable_sort(want, std::greater{}, [&](std::int32_t p) {
+    return heights[2 * static_cast<std::size_t>(p)];
+  });
+  REQUIRE(want.size() > 20'000);
+  std::vector<Index> first{0};
+  std::vector<std::int32_t> lists;
+  for (Index y = 0; y < H; y += kTile)
+    for (Index x = 0; x < W; x += kTile) {
+      for (const std::int32_t p : want) {
+        const Box& b = boxes[static_cast<std::size_t>(p)];
+        if (b.x0 < x + kTile && b.x1 >= x && b.y0 < y + kTile && b.y1 >= y) lists.push_back(p);
+      }
+      first.push_back(std::ssize(lists));
+    }
+  for (const int threads : {1, 2}) {
+    CAPTURE(threads);
+    set_threads(threads);
+    const auto order = front_to_back(boxes, heights.data(), 2);
+    const TileLists tiles = bin(boxes, order, H, W);
+    set_threads(0);
+    CHECK((order == want));
+    CHECK((tiles.first == first));
+    CHECK((tiles.surfels == lists));
+  }
 }
 
 TEST_CASE("bin: every tile that a box touches, in the order given") {

@@ -241,21 +241,34 @@ TEST_CASE("ply: numbers that are no surfel's are refused") {
 }
 
 TEST_CASE("ply: files are joined if every surfel of theirs can be read") {
-  const TemporaryFile one("one.ply"), two("two.ply"), all("all.ply");
+  const TempFolder folder("join-ply");
+  const TemporaryFile one("one.ply"), two("two.ply");
+  const fs::path all = folder / "all.ply";
   splat::write_ply(one.path, random_surfels<float>(3, 0, 9, 9, 1), {});
   splat::write_ply(two.path, random_surfels<float>(40000, 0, 9, 9, 2), {});
-  CHECK(splat::join_ply(all.path, {one.path, two.path}, {"c"}) == std::vector<Index>{3, 40000});
-  const splat::PlyContent joined = splat::read_ply(all.path);
+  CHECK(splat::join_ply(all, {one.path, two.path}, {"c"}) == std::vector<Index>{3, 40000});
+  const splat::PlyContent joined = splat::read_ply(all);
   CHECK(joined.comments == std::vector<std::string>{"c"});
   CHECK(joined.surfels.means.dim(0) == 40003);
   CHECK(joined.surfels.means.value()[3 * 40002] ==
         splat::read_ply(two.path).surfels.means.value()[3 * 39999]);
-  const std::string bytes = two.bytes();
+  const std::string bytes = two.bytes(), before = read_bytes(all);
+  const auto names = [&] {
+    std::vector<fs::path> out;
+    for (const auto& entry : fs::directory_iterator(folder.path()))
+      out.push_back(entry.path().filename());
+    return out;
+  };
+  CHECK(names() == std::vector<fs::path>{"all.ply"});
   const auto refusal = [&](std::size_t first, float value) {  // in the last surfel's row
     std::string changed = bytes;
     std::memcpy(changed.data() + changed.size() - 4 * (17 - first), &value, 4);
     two.write(changed);
-    return test::error_of<IoError>([&] { splat::join_ply(all.path, {one.path, two.path}, {}); });
+    const std::string error = test::error_of<IoError>([&] {
+      splat::join_ply(all, {one.path, two.path}, {});
+    });
+    CHECK(names() == std::vector<fs::path>{"all.ply"});  // as it was
+    return error;
   };
   const std::string front = "read_ply: " + two.path.string() + ": ";
   CHECK(refusal(4, std::numeric_limits<float>::quiet_NaN()) ==
@@ -263,8 +276,21 @@ TEST_CASE("ply: files are joined if every surfel of theirs can be read") {
   CHECK(refusal(0, 1e38F).starts_with(front + "a coordinate of vertex 39999 is 1e+38"));
   CHECK(refusal(10, 1000).starts_with(front + "a scale of vertex 39999 is inf"));
   two.write(bytes.substr(0, bytes.size() - 16) + std::string(16, '\0'));
-  CHECK(test::error_of<IoError>([&] { splat::join_ply(all.path, {two.path}, {}); }) ==
+  CHECK(test::error_of<IoError>([&] { splat::join_ply(all, {two.path}, {}); }) ==
         front + "the length of the quaternion of vertex 39999 is 0, expected a rotation");
+  CHECK(names() == std::vector<fs::path>{"all.ply"});
+  CHECK(read_bytes(all) == before);
+  fs::create_directory(folder / "taken");
+  CHECK(test::error_of<IoError>([&] { splat::join_ply(folder / "taken", {one.path}, {}); }) ==
+        (folder / "taken").string() +
+            ": cannot be written (Is a directory), expected a place that can be written");
+  CHECK(names().size() == 2);
+  // parts without surfels, and no part at all
+  splat::write_ply(two.path, random_surfels<float>(0, 0, 9, 9, 2), {});
+  CHECK(splat::join_ply(all, {two.path, one.path, two.path}, {}) == std::vector<Index>{0, 3, 0});
+  CHECK(splat::read_ply(all).surfels.means.dim(0) == 3);
+  CHECK(splat::join_ply(all, {}, {}).empty());
+  CHECK(splat::read_ply(all).surfels.means.dim(0) == 0);
 }
 
 TEST_CASE("ply: what cannot be written is refused and leaves no file") {

@@ -81,3 +81,23 @@ TEST_CASE("of one cube the most opaque is left") {
   CHECK(thinned(s, 1).means.value().dim(0) == 1);
   CHECK_THROWS_WITH_AS(thinned(s, 0), "thinned: 0 surfels, expected 1 or more", Error);
 }
+
+TEST_CASE("sets are joined with the tensors that all of them have") {
+  const auto set = [](Index P, float value, Index K) {
+    Surfels s{Var(Tensor({P, 3}, value)), Var(Tensor({P, 4}, value)), Var(Tensor({P, 2}, value)),
+              Var(Tensor({P}, value)),    Var(Tensor({P, 3}, value)), {}};
+    if (K > 0) s.aux = Var(Tensor({P, K}, value));
+    return s;
+  };
+  const Surfels plain = joined<float>({set(2, 1, 0), set(3, 2, 0)});
+  CHECK(plain.aux.empty());
+  REQUIRE(plain.means.shape() == Shape{5, 3});
+  CHECK(plain.means.value()[5] == 1);
+  CHECK(plain.means.value()[6] == 2);
+  const Surfels more = joined<float>({set(2, 1, 4), set(3, 2, 4)});
+  REQUIRE(more.aux.shape() == Shape{5, 4});
+  CHECK(more.aux.value()[8] == 2);
+  CHECK_THROWS_WITH_AS(joined<float>({set(2, 1, 4), set(3, 2, 0)}),
+                       "joined: 1 of 2 sets have aux, expected all or none", ShapeError);
+  CHECK_THROWS_WITH_AS(joined<float>({}), "joined: no sets, expected one or more", ShapeError);
+}

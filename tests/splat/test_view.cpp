@@ -33,3 +33,13 @@ TEST_CASE("surface_heights: the median of what is dense, the mean of what is thi
   CHECK(z[1] == 2);
   CHECK(std::isnan(z[2]));
 }
+
+TEST_CASE("surface_heights: the mean where rounding has left more than half of the light") {
+  splat::Render render;
+  render.alpha = Var(Tensor::from({1, 2}, {0.50000006f, 0.9f}));
+  render.height = Var(Tensor::from({1, 2}, {2.f, 1.f}));
+  render.median_height = Tensor::from({1, 2}, {std::nanf(""), 4.f});
+  const Tensor z = splat::surface_heights(render);
+  CHECK(z[0] == 2);
+  CHECK(z[1] == 4);
+}
