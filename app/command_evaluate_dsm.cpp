@@ -79,9 +79,8 @@ Tensor mask_of(const EvaluateDsmConfig& options, const evaluate::DsmPair& pair,
     if (options.classes.empty())
       throw ConfigError("--mask-water: no --classes, expected the class raster as well");
     const rpc::GeoRaster classes = rpc::read_geo_raster(options.classes);
-    if (classes.values.shape() != pair.truth.z.shape())
-      throw IoError(options.classes.string() + ": shape " + classes.values.shape().str() +
-                    ", expected the truth's " + pair.truth.z.shape().str());
+    rpc::require_same_grid(options.classes, classes, options.truth,
+                           {pair.truth.z, pair.geo_grid(pair.truth), {}});
     mask = evaluate::not_water(classes.values);
   }
   if (cameras.empty()) return mask;
@@ -142,10 +141,7 @@ void run_evaluate_dsm(const EvaluateDsmCommand& options, const EvaluateOutput& o
   }
   if (!options.error_map.empty()) {
     const ColourScale scale = error_scale();
-    const scene::HeightField& truth = pair.truth;
-    write_map(options.error_map, error_picture(c.error), &scale,
-              pair.frame ? geo_grid(truth, *pair.frame)
-                         : rpc::GeoGrid{0, truth.x0, truth.y0, truth.step});
+    write_map(options.error_map, error_picture(c.error), &scale, pair.geo_grid(pair.truth));
   }
   if (!output.json.empty()) {
     RunRecord record("evaluate", recorded_config<EvaluateDsmConfig>(options), 0);

@@ -116,7 +116,9 @@ void print_pairs(const Info& info) {
   for (const PairFacts& pair : info.pairs) {
     std::printf("  %s + %s: ", file(pair.a).info.path.filename().c_str(),
                 file(pair.b).info.path.filename().c_str());
-    if (pair.overlap == 0)
+    if (!pair.unknown.empty())
+      std::printf("unknown at %.0f m: %s\n", pair.height, pair.unknown.c_str());
+    else if (pair.overlap == 0)
       std::printf("no overlap at %.0f m\n", pair.height);
     else
       std::printf("overlap %.1f %%, parallax %.3f px/m\n", 100 * pair.overlap, pair.parallax);

@@ -6,6 +6,7 @@
 #include "satsurf/app/preview.h"
 #include "satsurf/app/products.h"
 #include "satsurf/app/program.h"
+#include "satsurf/app/surface_files.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/files.h"
 #include "satsurf/core/var.h"
@@ -18,6 +19,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <memory>
 #include <optional>
 #include <string>
@@ -138,10 +140,13 @@ void write_from_above(const RenderCommand& options, const Render& render,
     return write_world_files(options.out, geo_grid(grid, frame));
   }
   Tensor colour = splat::surface_colours(render);
-  for (float& v : colour.values()) v *= 255;
+  const Tensor z = splat::surface_heights(render);
+  for (Index i = 0; i < colour.count(); ++i)
+    colour[i] = std::isfinite(z[i % z.count()]) ? 255 * colour[i] : std::nanf("");
   rpc::GeoTags tags;
   tags.unit = "", tags.description = "The surface from above", tags.type = rpc::CellType::uint8;
   tags.nodata = 0;
+  keep_off_nodata(colour, tags);
   write_field(options.out, colour, grid, frame, 0, tags);
 }
 

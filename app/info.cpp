@@ -36,11 +36,12 @@ CameraFacts camera_of(const rpc::RasterInfo& info) {
 }
 
 ImageFacts image_of(const fs::path& file, const std::vector<fs::path>& image_dirs) {
-  ImageFacts image{
-      file,
-      file.extension() == ".json" ? rpc::view_info(file, image_dirs) : rpc::read_info(file),
-      {},
-      {}};
+  ImageFacts image{file,
+                   file.extension() == ".json" || file.extension() == ".JSON"
+                       ? rpc::view_info(file, image_dirs)
+                       : rpc::read_info(file),
+                   {},
+                   {}};
   if (image.info.rpc) image.camera = camera_of(image.info);
   try {
     rpc::check_pixels(image.info.path);
@@ -68,13 +69,17 @@ PairFacts pair_of(const Info& info, std::size_t i, std::size_t j) {
   const ImageFacts &first = info.images[info.cameras[i]], &second = info.images[info.cameras[j]];
   const rpc::RasterInfo &a = first.info, &b = second.info;
   PairFacts pair{i, j, first.camera->height, 0, 0};
-  const scene::CommonGround ground =
-      scene::common_ground(*a.rpc, a.width, a.height, *b.rpc, b.width, b.height, pair.height);
-  if (ground.both.empty()) return pair;
-  const auto at = scene::polygon_centroid(ground.both);
-  const auto lon_lat = rpc::geodetic_from_utm(ground.zone, at[0], at[1]);
-  pair.overlap = ground.share;
-  pair.parallax = scene::parallax(*a.rpc, *b.rpc, {lon_lat[0], lon_lat[1], pair.height});
+  try {
+    const scene::CommonGround ground =
+        scene::common_ground(*a.rpc, a.width, a.height, *b.rpc, b.width, b.height, pair.height);
+    if (ground.both.empty()) return pair;
+    const auto at = scene::polygon_centroid(ground.both);
+    const auto lon_lat = rpc::geodetic_from_utm(ground.zone, at[0], at[1]);
+    pair.parallax = scene::parallax(*a.rpc, *b.rpc, {lon_lat[0], lon_lat[1], pair.height});
+    pair.overlap = ground.share;
+  } catch (const Error& e) {  // a camera for heights far from the other's
+    pair.unknown = e.what();
+  }
   return pair;
 }
 
@@ -179,11 +184,14 @@ nlohmann::ordered_json info_json(const Info& info) {
     return info.images[info.cameras[camera]].file.string();
   };
   json["pairs"] = nlohmann::ordered_json::array();
-  for (const PairFacts& pair : info.pairs)
-    json["pairs"].push_back({{"a", name(pair.a)},
-                             {"b", name(pair.b)},
-                             {"overlap", pair.overlap},
-                             {"parallax_px_per_m", pair.parallax}});
+  for (const PairFacts& pair : info.pairs) {
+    nlohmann::ordered_json facts{{"a", name(pair.a)},
+                                 {"b", name(pair.b)},
+                                 {"overlap", pair.overlap},
+                                 {"parallax_px_per_m", pair.parallax}};
+    if (!pair.unknown.empty()) facts["unknown"] = pair.unknown;
+    json["pairs"].push_back(std::move(facts));
+  }
   if (!info.pointing.measured) {
     json["pointing"] = {{"not_measured", info.pointing.not_measured}};
     return json;

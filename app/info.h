@@ -45,6 +45,7 @@ struct PairFacts {
   double height = 0;         ///< at which it is told, m above the ellipsoid
   double overlap = 0;        ///< share of the smaller image
   double parallax = 0;       ///< px per metre of height; 0 without overlap
+  std::string unknown{};     ///< why a camera says nothing of it; empty where both do
 };
 /// How the cameras agree.
 struct PointingFacts {

@@ -191,6 +191,8 @@ void write_world_files(const std::filesystem::path& path, const rpc::GeoGrid& gr
   if (grid.epsg != 0)
     atomic_write(crs, "<PAMDataset>\n  <SRS>" + escaped(rpc::crs_wkt(grid.epsg)) +
                           "</SRS>\n</PAMDataset>\n");
+  else
+    std::filesystem::remove(crs);  // of a picture that was there before
 }
 
 }  // namespace satsurf::app

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -164,6 +165,25 @@ std::vector<std::array<float, 3>> count_colours(Index most) {
 
 ColourScale error_scale(double limit) {
   return {"error, m: blue too low, red too high", -limit, limit, true, true, ramp("", kErrors)};
+}
+
+Tensor block_means(const Tensor& values, Index block) {
+  const bool planes = values.rank() == 3;
+  const Index C = planes ? values.dim(0) : 1, H = values.dim(planes ? 1 : 0),
+              W = values.dim(planes ? 2 : 1), h = (H + block - 1) / block,
+              w = (W + block - 1) / block;
+  Tensor out(planes ? Shape{C, h, w} : Shape{h, w}, std::numeric_limits<float>::quiet_NaN());
+  for (Index c = 0; c < C; ++c)
+    for (Index y = 0; y < h; ++y)
+      for (Index x = 0; x < w; ++x) {
+        double sum = 0, count = 0;
+        for (Index v = y * block; v < std::min(H, (y + 1) * block); ++v)
+          for (Index u = x * block; u < std::min(W, (x + 1) * block); ++u)
+            if (const float value = values[(c * H + v) * W + u]; std::isfinite(value))
+              sum += static_cast<double>(value), count += 1;
+        if (count > 0) out[(c * h + y) * w + x] = static_cast<float>(sum / count);
+      }
+  return out;
 }
 
 Tensor stretched_picture(const Tensor& picture) {

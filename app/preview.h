@@ -34,6 +34,9 @@ std::vector<std::array<float, 3>> count_colours(Index most);
 /// Of `error_picture`.
 ColourScale error_scale(double limit = 5);
 
+/// The means of what is known in square blocks of cells, the last ones of what is left.
+/// values  [H W] or [C H W], NaN where unknown
+Tensor block_means(const Tensor& values, Index block);
 /// A picture of any brightness made legible: the 1st percentile of its values becomes black and the
 /// 99th white, alike in all channels.
 /// picture  [3 H W] in [0, 1], NaN where unknown

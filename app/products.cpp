@@ -6,6 +6,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -38,12 +39,12 @@ rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
       frame.easting0 = e, frame.northing0 = n, frame.h0 = h;
     }
   }
-  const int number = epsg % 100;
-  if (!has_origin || (epsg / 100 != 326 && epsg / 100 != 327) || number < 1 || number > 60)
+  const std::optional<rpc::UtmZone> zone = rpc::zone_of_epsg(epsg);
+  if (!has_origin || !zone)
     throw IoError(
         where +
         ": no frame in the header, expected comment lines `crs EPSG:326xx` and `origin E N H`");
-  frame.zone = {number, epsg / 100 == 326};
+  frame.zone = *zone;
   return frame;
 }
 

@@ -133,7 +133,7 @@ void add_reconstruct(Program& program);
 void add_evaluate(Program& program);
 /// Renders a surfel file into a camera or from above.
 void add_render(Program& program);
-/// Turns results into other formats: a mesh or a surface into GLB, surfels into rasters.
+/// Turns results into meshes for browsers and 3D programs: a mesh, a surface or surfels into GLB or PLY.
 void add_export(Program& program);
 /// Help of the program or a command, and the reference of all.
 void add_help(Program& program);

@@ -154,8 +154,9 @@ struct ReconstructConfig {
             .max = 1000,
             .automatic = "two pixels on the ground"});
     v("bbox", s.bbox,
-      Field{.help = "only this part of the ground: west, south, east and north; only what shows it "
-                    "is read",
+      Field{.help =
+                "only this part of the ground: west, south, east and north, with west above east "
+                "across the antimeridian; only what shows it is read",
             .unit = "deg",
             .min = -180,
             .max = 180,

@@ -23,9 +23,11 @@
 #include "satsurf/splat/select.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <functional>
 #include <future>
 #include <memory>
 #include <optional>
@@ -52,22 +54,37 @@ double seconds_since(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
+/// Whether the line between two points passes a rectangle.
+/// low, high  corners of it
+bool passes(const std::array<double, 2>& a, const std::array<double, 2>& b,
+            const std::array<double, 2>& low, const std::array<double, 2>& high) {
+  double enter = 0, leave = 1;  // parts of the line
+  for (std::size_t k = 0; k < 2; ++k) {
+    const double d = b[k] - a[k];
+    if (d == 0) {
+      if (a[k] < low[k] || a[k] > high[k]) return false;
+      continue;
+    }
+    const double t0 = (low[k] - a[k]) / d, t1 = (high[k] - a[k]) / d;
+    enter = std::max(enter, std::min(t0, t1)), leave = std::min(leave, std::max(t0, t1));
+  }
+  return enter <= leave;
+}
+
 /// The part of the ground that is wanted.
 struct Wanted {
   std::optional<rpc::Area> polygons;            ///< what of it counts; none for all of a rectangle
   std::optional<reconstruct::Ground> ground{};  ///< around it, local m
 
+  /// Whether any of it lies in a rectangle.
   bool meets(const reconstruct::Ground& box, const rpc::LocalFrame& frame) const {
-    constexpr int kTried = 64;  // lines of a box that are looked at
     if (!polygons) return true;
-    for (int i = 0; i <= kTried; ++i) {
-      const double y = box.y0 + box.height() * i / kTried + frame.northing0;
-      const std::vector<double> sides = polygons->crossings(y);
-      for (std::size_t k = 0; k + 1 < sides.size(); k += 2)
-        if (sides[k] < box.x1 + frame.easting0 && sides[k + 1] > box.x0 + frame.easting0)
-          return true;
-    }
-    return false;
+    const std::array<double, 2> low{box.x0 + frame.easting0, box.y0 + frame.northing0},
+        high{box.x1 + frame.easting0, box.y1 + frame.northing0};
+    for (const auto& ring : polygons->rings)
+      for (std::size_t i = 0, j = ring.size() - 1; i < ring.size(); j = i++)
+        if (passes(ring[j], ring[i], low, high)) return true;
+    return polygons->contains(0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]));
   }
 };
 
@@ -243,6 +260,14 @@ class TileMaker {
         fmt::format("tile {} of {}", first_ + done_ + 1, first_ + all_));
   }
 
+  /// What of the tiles' cells is not asked for; empty for all asked.
+  std::function<Tensor(const reconstruct::Grid&)> outside() const {
+    if (!wanted_.polygons) return {};
+    return [this](const reconstruct::Grid& grid) {
+      return outside_of(*wanted_.polygons, grid, survey_.user.scene.frame);
+    };
+  }
+
   TileRecord make(const Tile& tile, const scene::WindowedScene& part) {
     const auto start = Clock::now();
     report(0);
@@ -254,8 +279,8 @@ class TileMaker {
     TileRecord record;
     auto surface = std::make_shared<reconstruct::TileSurface>();
     try {
-      *surface =
-          reconstruct::reconstruct_tile(job_.networks.model, part, tiling_, tile, exposures_, how);
+      *surface = reconstruct::reconstruct_tile(job_.networks.model, part, tiling_, tile, exposures_,
+                                               how, outside());
     } catch (const IoError&) {
       throw;
     } catch (const Error& e) {

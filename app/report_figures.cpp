@@ -9,7 +9,6 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <limits>
 #include <vector>
 
 #include <fmt/format.h>
@@ -30,26 +29,6 @@ std::string base64(const std::string& bytes) {
                                      reinterpret_cast<const unsigned char*>(bytes.data()),
                                      static_cast<int>(bytes.size()));
   out.resize(static_cast<std::size_t>(length));
-  return out;
-}
-
-/// A raster made coarser: means of the known cells of k x k, the lower right ones of what is left.
-Tensor coarser(const Tensor& values, Index k) {
-  if (k <= 1) return values;
-  const bool one = values.rank() == 2;
-  const Index C = one ? 1 : values.dim(0), H = values.dim(one ? 0 : 1), W = values.dim(one ? 1 : 2),
-              h = (H + k - 1) / k, w = (W + k - 1) / k;
-  Tensor out(one ? Shape{h, w} : Shape{C, h, w}, std::numeric_limits<float>::quiet_NaN());
-  for (Index c = 0; c < C; ++c)
-    for (Index i = 0; i < h; ++i)
-      for (Index j = 0; j < w; ++j) {
-        double sum = 0, known = 0;
-        for (Index y = i * k; y < std::min(H, (i + 1) * k); ++y)
-          for (Index x = j * k; x < std::min(W, (j + 1) * k); ++x)
-            if (const float v = values[(c * H + y) * W + x]; std::isfinite(v))
-              sum += static_cast<double>(v), known += 1;
-        if (known > 0) out[(c * h + i) * w + j] = static_cast<float>(sum / known);
-      }
   return out;
 }
 
@@ -134,14 +113,14 @@ std::string figure(const Map& map, const Tensor& picture, double metres_per_pixe
 std::string map_figures(const Report& report) {
   const Index k = coarseness(report, kMostPixels);
   const double step = report.dsm.step * static_cast<double>(k);
-  const Tensor z = coarser(report.dsm.z, k);
+  const Tensor z = block_means(report.dsm.z, k);
   std::string out;
   if (!report.ortho.empty())
     out +=
         figure({"ortho", "Orthophoto",
                 "each cell from the steepest image that sees it; stretched until 1 % of the values "
                 "are black and 1 % white"},
-               stretched_picture(coarser(report.ortho, k)), step);
+               stretched_picture(block_means(report.ortho, k)), step);
   out += figure({"heights", "Heights",
                  "m above the ellipsoid; 2 % of the cells lie below the scale, 2 % above it, and "
                  "have the colours of its ends"},
@@ -149,20 +128,21 @@ std::string map_figures(const Report& report) {
   out += figure({"hillshade", "Hillshade", "lit from the north-west, 45&deg; high"},
                 hillshade_picture(z, step), step);
   if (!report.confidence.empty())
-    out +=
-        figure({"confidence", "Confidence",
-                "the probability that the surface is there, within half a pixel of parallax"},
-               confidence_picture(coarser(report.confidence, k)), step, legend(confidence_scale()));
+    out += figure({"confidence", "Confidence",
+                   "the probability that the surface is there, within half a pixel of parallax"},
+                  confidence_picture(block_means(report.confidence, k)), step,
+                  legend(confidence_scale()));
   if (!report.sigma.empty()) {
-    const Tensor sigma = coarser(report.sigma, k);
+    const Tensor sigma = block_means(report.sigma, k);
     out += figure({"sigma", "Expected error",
-                   "m; 19 heights in 20 are within twice as much; 2 % of the cells lie above the "
+                   "m; more than nine heights in ten are within twice as much; 2 % of the cells "
+                   "lie above the "
                    "scale"},
                   sigma_picture(sigma), step, legend(sigma_scale(sigma)));
   }
   if (!report.views.empty()) {
     const auto most = static_cast<Index>(report.images.size());
-    Tensor views = coarser(report.views, k);
+    Tensor views = block_means(report.views, k);
     for (float& v : views.values()) v = std::round(v);
     out +=
         figure({"views", "Coverage", "how many images see the cell; grey: no height", true, true},
@@ -240,7 +220,7 @@ std::string coverage_figure(const Report& report) {
 
 std::string grid_json(const Report& report) {
   const Index k = coarseness(report, kMostVertices);
-  const Tensor z = coarser(report.dsm.z, k);
+  const Tensor z = block_means(report.dsm.z, k);
   const Index H = z.dim(0), W = z.dim(1);
   double low = INFINITY, high = -INFINITY;
   for (const float v : z.values())

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/tiled_files.h"
 
+#include "satsurf/app/preview.h"
 #include "satsurf/app/products.h"
 #include "satsurf/app/surface_files.h"
 #include "satsurf/core/files.h"
@@ -61,24 +62,15 @@ class Overview {
 };
 
 /// Makes what lies outside of the polygons unknown.
-/// values  [n W], from row y0 of the grid on
-void leave_out(Tensor& values, Index y0, const reconstruct::Grid& grid,
-               const rpc::LocalFrame& frame, const std::optional<rpc::Area>& polygons) {
+/// values  [n W] or [C n W], from row y0 of the grid on
+void leave_out(Tensor& values, Index y0, reconstruct::Grid grid, const rpc::LocalFrame& frame,
+               const std::optional<rpc::Area>& polygons) {
   if (!polygons) return;
-  const bool planes = values.rank() == 3;
-  const Index C = planes ? values.dim(0) : 1, H = values.dim(planes ? 1 : 0),
-              W = values.dim(planes ? 2 : 1);
-  for (Index y = 0; y < H; ++y) {
-    const std::vector<double> sides = polygons->crossings(
-        grid.north + frame.northing0 - (static_cast<double>(y0 + y) + 0.5) * grid.step);
-    std::size_t passed = 0;
-    for (Index x = 0; x < W; ++x) {
-      const double east = grid.east + frame.easting0 + (static_cast<double>(x) + 0.5) * grid.step;
-      while (passed < sides.size() && sides[passed] <= east) ++passed;
-      if (passed % 2 == 0)
-        for (Index c = 0; c < C; ++c) values[(c * H + y) * W + x] = kNan;
-    }
-  }
+  grid.north -= static_cast<double>(y0) * grid.step;
+  grid.height = values.dim(values.rank() - 2);
+  const Tensor outside = outside_of(*polygons, grid, frame);
+  for (Index i = 0; i < values.count(); ++i)
+    if (outside[i % outside.count()] > 0) values[i] = kNan;
 }
 
 /// How many images see the cells of a tile, then what they show there, [1 + bands h w].
@@ -105,22 +97,19 @@ rpc::GeoGrid geo_rows(const reconstruct::Grid& grid, const rpc::LocalFrame& fram
 
 }  // namespace
 
-Tensor block_means(const Tensor& values, Index block) {
-  const bool planes = values.rank() == 3;
-  const Index C = planes ? values.dim(0) : 1, H = values.dim(planes ? 1 : 0),
-              W = values.dim(planes ? 2 : 1), h = (H + block - 1) / block,
-              w = (W + block - 1) / block;
-  Tensor out(planes ? Shape{C, h, w} : Shape{h, w}, kNan);
-  for (Index c = 0; c < C; ++c)
-    for (Index y = 0; y < h; ++y)
-      for (Index x = 0; x < w; ++x) {
-        double sum = 0, count = 0;
-        for (Index v = y * block; v < std::min(H, (y + 1) * block); ++v)
-          for (Index u = x * block; u < std::min(W, (x + 1) * block); ++u)
-            if (const float value = values[(c * H + v) * W + u]; std::isfinite(value))
-              sum += static_cast<double>(value), count += 1;
-        if (count > 0) out[(c * h + y) * w + x] = static_cast<float>(sum / count);
-      }
+Tensor outside_of(const rpc::Area& polygons, const reconstruct::Grid& grid,
+                  const rpc::LocalFrame& frame) {
+  Tensor out({grid.height, grid.width});
+  for (Index y = 0; y < grid.height; ++y) {
+    const std::vector<double> sides = polygons.crossings(
+        grid.north + frame.northing0 - (static_cast<double>(y) + 0.5) * grid.step);
+    std::size_t passed = 0;
+    for (Index x = 0; x < grid.width; ++x) {
+      const double east = grid.east + frame.easting0 + (static_cast<double>(x) + 0.5) * grid.step;
+      while (passed < sides.size() && sides[passed] <= east) ++passed;
+      if (passed % 2 == 0) out[y * grid.width + x] = 1;
+    }
+  }
   return out;
 }
 

@@ -10,7 +10,6 @@
 #include "satsurf/reconstruct/laid_surfels.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
-#include "satsurf/rpc/raster.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
 
@@ -163,10 +162,14 @@ DsmPair load_dsm_pair(const std::filesystem::path& prediction, const std::filesy
     rpc::require_heights(file, z);
     return scene::HeightField{z, r.grid.x0 - east, r.grid.y0 - north, r.grid.step};
   };
-  DsmPair pair{field(prediction, found), field(truth, known), std::nullopt};
-  const int epsg = b != 0 ? b : a, number = epsg % 100;
-  if ((epsg / 100 == 326 || epsg / 100 == 327) && number >= 1 && number <= 60)
-    pair.frame = rpc::LocalFrame{{number, epsg / 100 == 326}, east, north, 0};
+  DsmPair pair{.prediction = field(prediction, found),
+               .truth = field(truth, known),
+               .east = east,
+               .north = north,
+               .epsg = b != 0 ? b : a,
+               .frame = std::nullopt};
+  if (const auto zone = rpc::zone_of_epsg(pair.epsg))
+    pair.frame = rpc::LocalFrame{*zone, east, north, 0};
   return pair;
 }
 

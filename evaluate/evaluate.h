@@ -9,6 +9,7 @@
 #include "satsurf/nn/input.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/reconstruct/plan.h"
+#include "satsurf/rpc/raster.h"
 #include "satsurf/scene/scene.h"
 
 #include <array>
@@ -64,8 +65,15 @@ std::optional<mesh::MeshComparison> compare_surfaces(const splat::Surfels& surfe
 /// Two height rasters put into one metric frame: the truth's, minus its rounded corner.
 struct DsmPair {
   scene::HeightField prediction, truth;
+  double east = 0, north = 0;  ///< that corner, m: what is added to x and y of both
+  int epsg = 0;                ///< of the system of both; 0 if neither names one
   /// With h0 = 0; none if neither raster is known to be in a UTM zone.
   std::optional<rpc::LocalFrame> frame;
+
+  /// Where the cells of a field of the pair lie in its system.
+  rpc::GeoGrid geo_grid(const scene::HeightField& field) const {
+    return {epsg, field.x0 + east, field.y0 + north, field.step};
+  }
 };
 /// A raster without a known system is taken to be in the other's (DFC2019's truth has none).
 /// throws  IoError if both are known and differ

@@ -11,7 +11,7 @@ namespace satsurf::evaluate {
 /// How much one picture is like another. Values are clipped to [0, 1] first; a number that does not
 /// exist is NaN.
 struct ImageScores {
-  double psnr = 0;              ///< dB, see `psnr` of train/metrics.h; infinite for equal images
+  double psnr = 0;              ///< dB, see `psnr` of evaluate/metrics.h; infinite for equal images
   double psnr_fitted = 0;       ///< the same after `fit_colours`
   double ssim = 0;              ///< SsimKind::skimage; NaN for images of less than 11 px
   double ssim_conv = 0;         ///< SsimKind::conv

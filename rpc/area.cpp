@@ -265,12 +265,17 @@ std::array<double, 4> Area::bounds() const {
 Area area_of_box(const std::array<double, 4>& box, const UtmZone& zone) {
   constexpr double kWidest = 10;  // degrees; a zone is six wide
   constexpr int kParts = 32;      // of a side
-  const auto [west, south, east, north] = box;
+  const auto [west, south, named_east, north] = box;
+  // Beyond the antimeridian longitudes begin again.
+  const bool across = named_east < west && named_east + 360 - west <= kWidest;
+  const double east = across ? named_east + 360 : named_east;
   if (!(west < east && south < north && east - west <= kWidest && north - south <= kWidest &&
-        std::abs(west) <= 180 && std::abs(east) <= 180 && south >= -90 && north <= 90)) {
+        std::abs(west) <= 180 && std::abs(named_east) <= 180 && south >= -90 && north <= 90)) {
     std::ostringstream text;
-    text << "bbox: " << west << ',' << south << ',' << east << ',' << north
-         << ", expected west, south, east and north in degrees, of at most 10 a side";
+    text << "bbox: " << west << ',' << south << ',' << named_east << ',' << north
+         << ", expected west, south, east and north in degrees, of at most 10 a side, with west "
+            "above "
+            "east only across the antimeridian";
     throw ConfigError(text.str());
   }
   Area area;

@@ -24,7 +24,8 @@ struct Area {
 
 /// The ground between two meridians and two parallels, with corners along its sides so that these
 /// stay where they are in the zone.
-/// box     west, south, east, north in degrees on WGS84
+/// box     west, south, east, north in degrees on WGS84; across the antimeridian the east is below the
+///         west, as in 179.9, -17, -179.9, -16.8
 /// throws  ConfigError for a box that is empty, wider than 10 degrees or not on the Earth
 Area area_of_box(const std::array<double, 4>& box, const UtmZone& zone);
 

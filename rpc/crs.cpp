@@ -28,15 +28,6 @@ void check_kind(const OGRSpatialReference& crs, const std::string& text) {
     refuse(std::string("counts in ") + (unit == nullptr ? "another unit" : unit));
 }
 
-std::string wkt_of(const OGRSpatialReference& crs) {
-  const char* const options[] = {"FORMAT=WKT2_2019", nullptr};
-  char* text = nullptr;
-  crs.exportToWkt(&text, options);
-  const std::string wkt = text == nullptr ? "" : text;
-  CPLFree(text);
-  return wkt;
-}
-
 /// PROJ's words for an area of use, of those that fill a page the first ones.
 /// name  may be null
 std::string place_text(const char* name) {
@@ -50,6 +41,16 @@ std::string place_text(const char* name) {
 
 }  // namespace
 
+std::string wkt_of(const OGRSpatialReference& crs, const char* form) {
+  CPLStringList options;
+  if (form != nullptr) options.SetNameValue("FORMAT", form);
+  char* text = nullptr;
+  crs.exportToWkt(&text, options.List());
+  const std::string wkt = text == nullptr ? "" : text;
+  CPLFree(text);
+  return wkt;
+}
+
 ProjectedCrs projected_crs(const std::string& text) {
   const GdalScope scope;
   OGRSpatialReference crs;
@@ -60,7 +61,7 @@ ProjectedCrs projected_crs(const std::string& text) {
                       "string of PROJ");
   check_kind(crs, text);
   ProjectedCrs out;
-  out.wkt = wkt_of(crs);
+  out.wkt = wkt_of(crs, "WKT2_2019");
   const char *authority = crs.GetAuthorityName(nullptr), *code = crs.GetAuthorityCode(nullptr);
   const char* name = crs.GetName();
   if (authority != nullptr && code != nullptr) {

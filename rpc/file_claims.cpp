@@ -113,20 +113,31 @@ FileClaim claim_of_tiles(Bytes& file) {
   return {text.str(), 1};
 }
 
-}  // namespace
+template <std::size_t N>
+bool begins(Bytes& file, const std::array<std::uint8_t, N>& with) {
+  std::array<std::uint8_t, N> start{};
+  return file.read(0, start) && start == with;
+}
 
-FileClaim claim_of(const std::string& name) {
+bool begins_jpeg2000(Bytes& file) {
   constexpr std::array<std::uint8_t, 12> kBoxes{0,   0,   0,    12,   'j',  'P',
                                                 ' ', ' ', 0x0d, 0x0a, 0x87, 0x0a};
   constexpr std::array<std::uint8_t, 4> kCodeStream{0xff, 0x4f, 0xff, 0x51};
+  return begins(file, kBoxes) || begins(file, kCodeStream);
+}
+
+}  // namespace
+
+bool is_jpeg2000(const std::string& name) {
+  Bytes file(name);
+  return begins_jpeg2000(file);
+}
+
+FileClaim claim_of(const std::string& name) {
   constexpr std::array<std::uint8_t, 2> kBmp{'B', 'M'};
   Bytes file(name);
-  const auto begins = [&]<std::size_t N>(const std::array<std::uint8_t, N>& with) {
-    std::array<std::uint8_t, N> start{};
-    return file.read(0, start) && start == with;
-  };
-  if (begins(kBmp)) return {false_size(file), {}};
-  if (begins(kBoxes) || begins(kCodeStream)) return claim_of_tiles(file);
+  if (begins(file, kBmp)) return {false_size(file), {}};
+  if (begins_jpeg2000(file)) return claim_of_tiles(file);
   return {};
 }
 

@@ -22,8 +22,6 @@ constexpr double kK0 = 0.9996, kFalseEasting = 500000, kFalseNorthing = 10000000
 
 constexpr double kRadian = std::numbers::pi / 180;
 
-double degrees_wrapped(double lon) { return lon - 360.0 * std::floor((lon + 180.0) / 360.0); }
-
 double central_meridian(const UtmZone& zone) { return 6.0 * zone.number - 183.0; }
 
 /// c[0] n^first + c[1] n^(first + 1) + ...
@@ -75,6 +73,18 @@ double geodetic_tan(double tau_conformal) {
 }
 
 }  // namespace
+
+std::optional<UtmZone> zone_of_epsg(int epsg) {
+  const int number = epsg % 100;
+  const bool north = epsg / 100 == 326, south = epsg / 100 == 327;
+  if ((!north && !south) || number < 1 || number > 60) return std::nullopt;
+  return UtmZone{number, north};
+}
+
+std::optional<UtmZone> zone_near_epsg(int epsg) {
+  const int system = epsg / 100;
+  return zone_of_epsg(system == 258 || system == 269 ? 32600 + epsg % 100 : epsg);
+}
 
 UtmZone utm_zone_of(double lon, double lat) {
   const int number = static_cast<int>(std::floor((degrees_wrapped(lon) + 180.0) / 6.0)) + 1;

@@ -5,6 +5,7 @@
 #include "satsurf/rpc/model.h"
 
 #include <array>
+#include <optional>
 #include <string>
 
 namespace satsurf::rpc {
@@ -18,6 +19,12 @@ struct UtmZone {
   int epsg() const { return (north ? 32600 : 32700) + number; }
   friend bool operator==(const UtmZone&, const UtmZone&) = default;
 };
+
+/// The zone that a code names, see `UtmZone::epsg`; nothing for the code of any other system.
+std::optional<UtmZone> zone_of_epsg(int epsg);
+/// The same for zones on ETRS89 (258xx) and NAD83 (269xx), too, which lie within two metres of those on
+/// WGS 84.
+std::optional<UtmZone> zone_near_epsg(int epsg);
 
 /// The zone of a position by its longitude (no exceptions for Norway and Svalbard).
 UtmZone utm_zone_of(double lon, double lat);

@@ -8,17 +8,20 @@
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 
+#include <array>
 #include <filesystem>
 #include <map>
 #include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
+#include <system_error>
 #include <utility>
 #include <vector>
 
 #include <cpl_conv.h>
 #include <cpl_error.h>
+#include <cpl_minixml.h>
 #include <cpl_string.h>
 #include <gdal_priv.h>
 
@@ -54,6 +57,9 @@ struct FileClaim {
 /// name  of a file on this machine, of any format
 FileClaim claim_of(const std::string& name);
 
+/// Whether a file on this machine is a JPEG 2000.
+bool is_jpeg2000(const std::string& name);
+
 /// Registers the drivers for what is read and written here and no others; once.
 void register_drivers();
 /// The drivers that may open rasters and vector files: those known here, and those of
@@ -63,7 +69,7 @@ std::vector<std::string> vector_drivers();
 /// The driver that would open a file, by its beginning, whether it may or not; empty if none would.
 /// kind  GDAL_OF_RASTER or GDAL_OF_VECTOR
 std::string format_of(const std::string& name, unsigned kind = GDAL_OF_RASTER);
-/// How to let a driver open files, to end a complaint; nothing for one without a name.
+/// How the user can let a driver open files, to end a complaint; nothing for one without a name.
 std::string allow_text(const std::string& driver);
 
 /// A list as GDAL takes them, ended by a null pointer. The texts stay with their owner.
@@ -84,6 +90,11 @@ struct DatasetCloser {
   void operator()(GDALDataset* d) const { GDALClose(GDALDataset::ToHandle(d)); }
 };
 using DatasetPtr = std::unique_ptr<GDALDataset, DatasetCloser>;
+
+struct XmlDeleter {
+  void operator()(CPLXMLNode* node) const { CPLDestroyXMLNode(node); }
+};
+using XmlPtr = std::unique_ptr<CPLXMLNode, XmlDeleter>;
 
 /// Opens a raster of one of the known formats or of those that `trusted_drivers` names. Nothing is
 /// asked of a network: names in GDAL's virtual file systems are refused, and so is a VRT whose
@@ -148,6 +159,23 @@ inline std::optional<double> parse_number(std::string_view text) {
 /// Bands without the alpha band, counted from 1.
 std::vector<int> colour_bands(GDALDataset& d);
 
+/// A file that goes with this, if it lies there still.
+class TemporaryFile {
+ public:
+  explicit TemporaryFile(std::filesystem::path path) : path_(std::move(path)) {}
+  ~TemporaryFile() {
+    std::error_code ignored;
+    std::filesystem::remove(path_, ignored);
+  }
+  TemporaryFile(const TemporaryFile&) = delete;
+  TemporaryFile& operator=(const TemporaryFile&) = delete;
+
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_;
+};
+
 /// A raster of bare values in a file of its own, for one that is written bit by bit and read once: its
 /// room is taken at the beginning, and a write that fails is an error and no more. A GeoTIFF that a
 /// full disk has cut off is read again by libtiff 4.5 while it is closed, which may crash.
@@ -157,7 +185,8 @@ std::vector<int> colour_bands(GDALDataset& d);
 DatasetPtr bare_raster(const std::filesystem::path& path, const std::filesystem::path& file,
                        Index bands, Index height, Index width, GDALDataType type);
 
-/// Makes the cloud-optimised GeoTIFF of a finished raster, which takes its place at once.
+/// Makes the cloud-optimised GeoTIFF of a finished raster, which takes its place at once, when it is on
+/// the disk.
 /// means   whether a mean of cells means something: overviews
 /// throws  IoError
 void write_cog(const std::filesystem::path& path, GDALDataset& from, bool means);
@@ -178,6 +207,19 @@ enum class Sampled { nearest, lowest, highest };
 /// throws  Error where PROJ knows no way between the systems
 Tensor first_band_on(GDALDataset& d, const OGRSpatialReference& crs, const GeoGrid& grid,
                      Index height, Index width, Sampled how);
+
+/// Heights above the WGS84 ellipsoid of points that have one height in a vertical system.
+/// lon_lat  degrees on WGS84, one pair for each result
+/// height   of all of them in the vertical system
+/// returns  m; nothing where PROJ has no grid of the system there
+/// throws   IoError where PROJ lacks its database
+std::optional<std::vector<double>> above_ellipsoid(
+    const OGRSpatialReference& up, const std::vector<std::array<double, 2>>& lon_lat,
+    double height);
+
+/// A system in the words of OGC.
+/// form  WKT2_2019 or another of GDAL's names; null for the one that GDAL prefers
+std::string wkt_of(const OGRSpatialReference& crs, const char* form);
 
 /// Whether a file is of one of the vector formats that are read.
 bool is_vector_file(const std::filesystem::path& path);

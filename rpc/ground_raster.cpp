@@ -87,28 +87,16 @@ struct Lifted {
 
 /// throws  Error where PROJ has no grid of the system
 std::vector<Lifted> lifted(int epsg_up, const std::vector<std::array<double, 2>>& lon_lat) {
-  OGRSpatialReference ground, up, from, to;
-  if (ground.importFromEPSG(4326) != OGRERR_NONE || up.importFromEPSG(epsg_up) != OGRERR_NONE ||
-      from.SetCompoundCS("WGS 84 + heights", &ground, &up) != OGRERR_NONE ||
-      to.importFromEPSG(4979) != OGRERR_NONE)
+  OGRSpatialReference up;
+  if (up.importFromEPSG(epsg_up) != OGRERR_NONE)
     throw Error("EPSG:" + std::to_string(epsg_up) +
                 ": not known to PROJ, expected a vertical system");
-  from.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
-  to.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);
-  OGRCoordinateTransformationOptions options;
-  options.SetBallparkAllowed(false);
-  const std::unique_ptr<OGRCoordinateTransformation> transform(
-      OGRCreateCoordinateTransformation(&from, &to, options));
   const auto heights = [&](double h) {
-    std::vector<double> x, y, z(lon_lat.size(), h);
-    for (const auto& [lon, lat] : lon_lat) x.push_back(lon), y.push_back(lat);
-    std::vector<int> done(lon_lat.size(), 0);
-    const bool all = transform && transform->Transform(static_cast<int>(x.size()), x.data(),
-                                                       y.data(), z.data(), nullptr, done.data());
-    if (!all || !std::ranges::all_of(z, [](double v) { return std::isfinite(v); }))
+    auto out = above_ellipsoid(up, lon_lat, h);
+    if (!out)
       throw Error(std::string("its heights are in ") + up.GetName() +
                   ", expected a vertical system of which PROJ has the grid here");
-    return z;
+    return std::move(*out);
   };
   const std::vector<double> zero = heights(0), one = heights(1);
   std::vector<Lifted> out;
@@ -171,18 +159,21 @@ bool GroundMask::covers(float value) const {
 }
 
 Tensor GroundMask::on(const GeoGrid& grid, Index height, Index width) const {
+  const std::optional<UtmZone> zone = zone_of_epsg(grid.epsg);
+  if (!zone)
+    throw Error("GroundMask::on: a grid in EPSG:" + std::to_string(grid.epsg) +
+                ", expected a zone of UTM (EPSG:326xx or 327xx)");
   Tensor out({height, width});
   if (!polygons_) {
     const GdalScope scope;
-    const Placed at = open_placed(path_, {grid.epsg % 100, grid.epsg / 100 == 326});
+    const Placed at = open_placed(path_, *zone);
     const Tensor values = first_band_on(*at.raster, at.crs, grid, height, width, Sampled::nearest);
     for (Index i = 0; i < out.count(); ++i) out[i] = covers(values[i]) ? 1.0F : 0.0F;
     return out;
   }
-  const UtmZone zone{grid.epsg % 100, grid.epsg / 100 == 326};
   const std::lock_guard lock(polygons_->mutex);
-  if (!polygons_->area || polygons_->zone != zone)
-    polygons_->area = read_area(path_, zone), polygons_->zone = zone;
+  if (!polygons_->area || polygons_->zone != *zone)
+    polygons_->area = read_area(path_, *zone), polygons_->zone = *zone;
   for (Index y = 0; y < height; ++y) {
     const std::vector<double> sides =
         polygons_->area->crossings(grid.y0 - (static_cast<double>(y) + 0.5) * grid.step);

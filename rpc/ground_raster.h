@@ -30,7 +30,7 @@ class GroundMask {
   /// grid           in a zone of UTM
   /// height, width  its cells
   /// returns        [height width] 1 where the middle of a cell is not wanted, else 0
-  /// throws         IoError; Error where PROJ knows no way into the zone
+  /// throws         IoError; Error where PROJ knows no way into the zone, or for a grid in no zone
   Tensor on(const GeoGrid& grid, Index height, Index width) const;
   const std::filesystem::path& path() const { return path_; }
 

@@ -14,21 +14,12 @@ namespace {
 
 using Cubic = std::array<double, 20>;
 
-double degrees_wrapped(double lon) { return lon - 360.0 * std::floor((lon + 180.0) / 360.0); }
-
-/// Monomials of the normalised latitude P, longitude L and height H in RPC00B order.
-/// Source: STDI-0002, volume 1, appendix E (RPC00A has another order).
+/// `rpc_monomials` and their derivatives.
 struct Monomials {
   Cubic m, dP, dL, dH;
 
-  static Cubic values(double P, double L, double H) {
-    return {1,         L,         P,         H,         L * P,     L * H,     P * H,
-            L * L,     P * P,     H * H,     P * L * H, L * L * L, L * P * P, L * H * H,
-            L * L * P, P * P * P, P * H * H, L * L * H, P * P * H, H * H * H};
-  }
-
   Monomials(double P, double L, double H)
-      : m(values(P, L, H)),
+      : m(rpc_monomials(P, L, H)),
         dP{0,     0, 1,         0, L,     0,         H,     0, 2 * P,     0,
            L * H, 0, 2 * L * P, 0, L * L, 3 * P * P, H * H, 0, 2 * P * H, 0},
         dL{0,     1,         0,     0,     P,         H, 0, 2 * L,     0, 0,
@@ -82,7 +73,7 @@ Linearised linearise(const Rpc& r, const Geodetic& p) {
 
 Pixel Rpc::project(const Geodetic& p) const {
   const Normalised q(*this, p);
-  const Cubic m = Monomials::values(q.P, q.L, q.H);
+  const Cubic m = rpc_monomials(q.P, q.L, q.H);
   return {samp_scale * dot(samp_num, m) / dot(samp_den, m) + samp_off,
           line_scale * dot(line_num, m) / dot(line_den, m) + line_off};
 }
@@ -154,7 +145,7 @@ OverOther over(const Cubic& den, const Cubic& other_num, const Cubic& other_den)
   for (int i = 0; i < kSide; ++i)
     for (int j = 0; j < kSide; ++j)
       for (int h = 0; h < kSide; ++h, ++k) {
-        const Cubic m = Monomials::values(at(i), at(j), at(h));
+        const Cubic m = rpc_monomials(at(i), at(j), at(h));
         const double D = dot(den, m);
         for (std::size_t c = 0; c < m.size(); ++c) A(k, static_cast<Eigen::Index>(c)) = m[c] / D;
         wanted[k] = dot(other_num, m) / dot(other_den, m);

@@ -4,8 +4,23 @@
 #include "satsurf/core/shape.h"
 
 #include <array>
+#include <cmath>
 
 namespace satsurf::rpc {
+
+/// A longitude as one from -180 degrees on, below 180.
+inline double degrees_wrapped(double lon) {
+  return lon - 360.0 * std::floor((lon + 180.0) / 360.0);
+}
+
+/// The 20 cubic monomials of an RPC's normalised latitude P, longitude L and height H, in the order of
+/// RPC00B (RPC00A has another).
+/// Source: STDI-0002, volume 1, appendix E.
+inline std::array<double, 20> rpc_monomials(double P, double L, double H) {
+  return {1,         L,         P,         H,         L * P,     L * H,     P * H,
+          L * L,     P * P,     H * H,     P * L * H, L * L * L, L * P * P, L * H * H,
+          L * L * P, P * P * P, P * H * H, L * L * H, P * P * H, H * H * H};
+}
 
 /// Position on the ellipsoid: degrees and metres above WGS84, always in this order.
 struct Geodetic {

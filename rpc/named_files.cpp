@@ -8,23 +8,17 @@
 #include <map>
 #include <sstream>
 
-#include <cpl_minixml.h>
-
 namespace satsurf::rpc {
 namespace {
 
 namespace fs = std::filesystem;
 
-/// What the user can do about a driver that is not among them.
+/// Whether a driver may open files here.
 bool is_allowed(const std::string& driver) {
   return std::ranges::any_of(raster_drivers(), [&](const std::string& name) {
     return EQUAL(name.c_str(), driver.c_str());
   });
 }
-
-struct XmlDeleter {
-  void operator()(CPLXMLNode* node) const { CPLDestroyXMLNode(node); }
-};
 
 void check_channels(const fs::path& path);
 
@@ -95,7 +89,7 @@ double VrtCheck::look_at(const fs::path& vrt, int depth) {
     throw IoError(vrt.string() + ": a VRT of VRTs nested deeper than " +
                   std::to_string(kMostDepth) + ", expected files");
   const std::string text = read_text_file(vrt, "a VRT");
-  const std::unique_ptr<CPLXMLNode, XmlDeleter> root(CPLParseXMLString(text.c_str()));
+  const XmlPtr root(CPLParseXMLString(text.c_str()));
   if (!root) throw IoError(vrt.string() + ": damaged VRT; " + gdal_error());
   const double rasters = look_into(vrt, root.get(), depth);
   constexpr double kMostRasters = 1e5;  // eight VRTs that name the next eight times would be 8^8

@@ -110,7 +110,7 @@ GeoGrid grid_of(const fs::path& path, GDALDataset& d, const std::optional<UtmZon
   }
   check_place(path, t[0], t[3], step);
   int epsg = zone ? zone->epsg() : 0;
-  if (const OGRSpatialReference* crs = d.GetSpatialRef()) {
+  if (const OGRSpatialReference* crs = d.GetSpatialRef(); crs != nullptr && !crs->IsLocal()) {
     if (crs->IsGeographic())
       throw IoError(
           path.string() +
@@ -161,6 +161,32 @@ GeoRaster read_geo_raster(const fs::path& path, const std::optional<UtmZone>& zo
     out.tags.software = text.mapped();
   out.tags.heights = heights_of(d->GetSpatialRef(), out.tags.metadata);
   return out;
+}
+
+void require_same_grid(const fs::path& path, const GeoRaster& raster, const fs::path& other_path,
+                       const GeoRaster& other) {
+  const GeoGrid &a = raster.grid, &b = other.grid;
+  const auto side = [](const GeoRaster& r, Index from_last) {
+    return r.values.dim(r.values.rank() - from_last);
+  };
+  const double most = 0.6 * b.step,
+               cells = static_cast<double>(std::max(side(other, 1), side(other, 2)));
+  if (raster.values.shape() == other.values.shape() && std::abs(a.x0 - b.x0) < most &&
+      std::abs(a.y0 - b.y0) < most && std::abs(a.step - b.step) * cells < most &&
+      (a.epsg == 0 || b.epsg == 0 || a.epsg == b.epsg))
+    return;
+  const auto text_of = [&](const GeoRaster& r) {
+    const Index bands = r.values.rank() == 3 ? r.values.dim(0) : 1;
+    std::ostringstream text;
+    text.precision(10);
+    text << side(r, 1) << " x " << side(r, 2) << " cells of " << r.grid.step << " m from "
+         << r.grid.x0 << ", " << r.grid.y0;
+    if (r.grid.epsg != 0) text << " in EPSG:" << r.grid.epsg;
+    if (bands > 1) text << ", " << bands << " bands";
+    return text.str();
+  };
+  throw IoError(path.string() + ": " + text_of(raster) + ", expected the grid of " +
+                other_path.string() + ", " + text_of(other));
 }
 
 void require_heights(const fs::path& path, const Tensor& values) {

@@ -88,7 +88,7 @@ class GeoRasterRows {
 
  private:
   struct File;
-  std::filesystem::path path_, rows_;
+  std::filesystem::path path_;
   Index bands_, height_, width_, next_ = 0;
   GeoTags tags_;
   std::unique_ptr<File> file_;
@@ -104,23 +104,32 @@ struct GeoRaster {
 /// A north-up raster of square cells, of the formats that `read_info` takes. DFC2019's `NAME_DSM.tif` (and
 /// `NAME_CLS.tif`) have no georeference; their grid is taken from `NAME_DSM.txt` beside them
 /// (easting and northing of the lower-left corner, cells per side, metres per cell).
-/// zone    system of a raster that names none
+/// zone    system of a raster that names none on the Earth
 /// throws  IoError for no georeference, a rotated grid, cells that are not square, a damaged file;
 ///         for more than 2^32 values, or more than its file or the memory can hold
 GeoRaster read_geo_raster(const std::filesystem::path& path,
                           const std::optional<UtmZone>& zone = {});
+
+/// As `read_geo_raster`, with the means of square blocks of cells for cells, read a row of blocks at a
+/// time: of the blocks at the eastern and southern end what there is. Unknown cells do not count.
+/// factor  side of a block, cells
+/// throws  as `read_geo_raster`; Error for a factor below 1
+GeoRaster read_reduced_raster(const std::filesystem::path& path, Index factor);
+
+/// Refuses a raster whose cells are not those of another: more or fewer, in another system where both
+/// name one, or more than half a cell away, by which files differ that count from corners of cells and
+/// from their middles.
+/// path, raster       what is checked, and the file that it comes from
+/// other_path, other  likewise, of the cells it should have
+/// throws             IoError naming both
+void require_same_grid(const std::filesystem::path& path, const GeoRaster& raster,
+                       const std::filesystem::path& other_path, const GeoRaster& other);
 
 /// Refuses what is no height on the Earth: more than 1000 km above the ellipsoid or below it. NaN is none
 /// at all, and may be there.
 /// path    of the file they come from
 /// throws  IoError naming the first such cell
 void require_heights(const std::filesystem::path& path, const Tensor& values);
-
-/// The same with the means of square blocks of cells for cells, read a row of blocks at a time: of the
-/// blocks at the eastern and southern end what there is. Unknown cells do not count.
-/// factor  side of a block, cells
-/// throws  as `read_geo_raster`; Error for a factor below 1
-GeoRaster read_reduced_raster(const std::filesystem::path& path, Index factor);
 
 /// Writes the grid of a raster without a georeference the way DFC2019 does.
 /// size    cells per side

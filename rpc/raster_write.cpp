@@ -18,6 +18,7 @@
 #include <cpl_vsi.h>
 #include <fcntl.h>
 #include <ogr_spatialref.h>
+#include <unistd.h>
 
 namespace satsurf::rpc {
 namespace {
@@ -192,6 +193,29 @@ std::vector<float> stored_plane(const Tensor& values, Index plane, Index count,
   return out;
 }
 
+/// Puts a finished file in the place of another and both its bytes and its name on the disk, as
+/// `atomic_write` does.
+/// throws  IoError
+void put_in_place(const fs::path& made, const fs::path& path) {
+  const auto check = [&](bool done) {
+    if (!done)
+      throw IoError(path.string() + ": cannot be put in its place (" + std::strerror(errno) + ")");
+  };
+  const int file = ::open(made.c_str(), O_RDONLY | O_CLOEXEC);
+  check(file >= 0);
+  const bool flushed = ::fsync(file) == 0;
+  const int error = errno;
+  ::close(file);
+  errno = error;
+  check(flushed);
+  check(std::rename(made.c_str(), path.c_str()) == 0);
+  const fs::path folder = path.has_parent_path() ? path.parent_path() : ".";
+  const int names = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (names < 0) return;  // some file systems cannot; the bytes are safe all the same
+  ::fsync(names);
+  ::close(names);
+}
+
 /// How a cloud-optimised GeoTIFF is made.
 std::vector<const char*> cog_options(bool means) {
   return {"COMPRESS=DEFLATE", "PREDICTOR=YES", "BIGTIFF=IF_SAFER",
@@ -216,12 +240,7 @@ const char* datum_text(HeightDatum datum) {
 
 std::string crs_wkt(int epsg) {
   const GdalScope scope;
-  const OGRSpatialReference crs = known_system(epsg);
-  char* text = nullptr;
-  crs.exportToWkt(&text);
-  const std::string wkt = text == nullptr ? "" : text;
-  CPLFree(text);
-  return wkt;
+  return wkt_of(known_system(epsg), nullptr);
 }
 
 int height_epsg(HeightDatum datum) {
@@ -288,28 +307,27 @@ DatasetPtr bare_raster(const fs::path& path, const fs::path& file, Index bands, 
 }
 
 void write_cog(const fs::path& path, GDALDataset& from, bool means) {
-  fs::path made = path;
-  made += ".part";
+  const TemporaryFile made(path.string() + ".part");
   CPLErrorReset();
   from.FlushCache();  // may be where a disk is found full
   if (CPLGetLastErrorType() >= CE_Failure) refuse(path);
   CPLStringList list;
   for (const char* option : cog_options(means)) list.AddString(option);
-  DatasetPtr cog(
-      driver_of_name(path, "COG").CreateCopy(made.c_str(), &from, FALSE, list, nullptr, nullptr));
+  DatasetPtr cog(driver_of_name(path, "COG")
+                     .CreateCopy(made.path().c_str(), &from, FALSE, list, nullptr, nullptr));
   if (!cog) refuse(path);
   CPLErrorReset();
   cog.reset();
   if (CPLGetLastErrorType() >= CE_Failure) refuse(path);
-  std::error_code error;
-  fs::rename(made, path, error);
-  if (error)
-    throw IoError(path.string() + ": cannot be put in its place (" + error.message() + ")");
+  put_in_place(made.path(), path);
 }
 
 /// The rows so far, in a file beside the one to be made. They are written here, a band's at a time:
 /// GDAL would write each row by itself.
 struct GeoRasterRows::File {
+  explicit File(fs::path path) : rows(std::move(path)) {}
+
+  TemporaryFile rows;
   DatasetPtr dataset;
   std::unique_ptr<std::FILE, int (*)(std::FILE*)> values{nullptr, &std::fclose};
 };
@@ -317,26 +335,22 @@ struct GeoRasterRows::File {
 GeoRasterRows::GeoRasterRows(fs::path path, Index bands, Index height, Index width,
                              const GeoGrid& grid, GeoTags tags)
     : path_(std::move(path)),
-      rows_(path_.string() + ".rows"),
       bands_(bands),
       height_(height),
       width_(width),
       tags_(std::move(tags)) {
   const GdalScope scope;
-  file_ = std::make_unique<File>();
-  file_->dataset = bare_raster(path_, rows_, bands, height, width, gdal_type(tags_.type));
-  file_->values.reset(std::fopen(rows_.c_str(), "r+b"));
+  file_ = std::make_unique<File>(path_.string() + ".rows");
+  const fs::path& rows = file_->rows.path();
+  file_->dataset = bare_raster(path_, rows, bands, height, width, gdal_type(tags_.type));
+  file_->values.reset(std::fopen(rows.c_str(), "r+b"));
   if (!file_->values)
-    throw IoError(rows_.string() + ": cannot be opened (" + std::strerror(errno) + ")");
+    throw IoError(rows.string() + ": cannot be opened (" + std::strerror(errno) + ")");
   std::setvbuf(file_->values.get(), nullptr, _IONBF, 0);  // an error shows where it happens
   describe(path_, *file_->dataset, bands, grid, tags_);
 }
 
-GeoRasterRows::~GeoRasterRows() {
-  file_.reset();
-  std::error_code ignored;
-  fs::remove(rows_, ignored);
-}
+GeoRasterRows::~GeoRasterRows() = default;
 
 void GeoRasterRows::append(const Tensor& values) {
   const auto [C, H, W] = extents_of("GeoRasterRows", values, false);
@@ -369,8 +383,6 @@ void GeoRasterRows::finish() {
   const GdalScope scope;
   write_cog(path_, *file_->dataset, tags_.means);
   file_.reset();
-  std::error_code ignored;
-  fs::remove(rows_, ignored);
 }
 
 void write_rpc_geotiff(const fs::path& path, const Tensor& pixels, PixelType type, const Rpc& rpc,

@@ -24,15 +24,63 @@ struct Part {
   PixelWindow window;
   Index factor = 1;
   bool may_be_empty = false;  ///< without one valid pixel
+  bool overviews = false;     ///< what is kept may be taken from smaller resolutions
+  Index columns = 1;          ///< of those that are kept, how many are read at a time
 
   Index width() const { return window.width / factor; }
   Index height() const { return window.height / factor; }
+  /// Whether rows are read whole and thinned out.
+  bool by_rows() const { return factor > 1 && !overviews; }
 };
+
+/// Whether a file's smaller resolutions are worth their values: of a JPEG 2000, which a file in
+/// pieces may consist of.
+bool decodes_smaller(GDALDataset& d, const RasterInfo& info) {
+  const char* packed = d.GetMetadataItem("NITF_IC");
+  return (packed != nullptr && (EQUAL(packed, "C8") || EQUAL(packed, "M8"))) ||
+         std::ranges::any_of(info.files, [](const fs::path& f) { return is_jpeg2000(f.string()); });
+}
+
+/// How many of the columns that are kept are read at a time: rows across more blocks than GDAL keeps
+/// would have each of them decoded again and again.
+Index columns_together(GDALDataset& d, Index factor) {
+  constexpr double kMost = 32e6;  // bytes of a row of blocks
+  int width = 0, height = 0;
+  d.GetRasterBand(1)->GetBlockSize(&width, &height);
+  double pixel = 0;
+  for (int b = 1; b <= d.GetRasterCount(); ++b)
+    pixel += GDALGetDataTypeSizeBytes(d.GetRasterBand(b)->GetRasterDataType());
+  const double most = std::max<double>(width, kMost / (pixel * height));
+  return std::max<Index>(1, static_cast<Index>(most) / factor);
+}
+
+/// Reads some bands of a part. GDAL takes overviews by itself where fewer values are wanted than there
+/// are, and those of its pieces for a mosaic, so that rows are read whole and thinned out here.
+/// to    [bands, height, width] of the part
+/// read  RasterIO of a window into so many columns and rows of values
+template <class T, class F>
+CPLErr read_part(const Part& part, Index bands, T* to, const F& read) {
+  const Index W = part.width(), H = part.height(), f = part.factor;
+  const PixelWindow& w = part.window;
+  if (!part.by_rows()) return read(PixelWindow{w.x0, w.y0, W * f, H * f}, to, W, H);
+  std::vector<T> row(static_cast<std::size_t>(bands * std::min(part.columns, W) * f));
+  for (Index u = 0; u < W; u += part.columns) {
+    const Index n = std::min(part.columns, W - u);
+    for (Index v = 0; v < H; ++v) {
+      const PixelWindow from{w.x0 + u * f, w.y0 + v * f + f / 2, n * f, 1};
+      if (const CPLErr error = read(from, row.data(), n * f, Index{1}); error != CE_None)
+        return error;
+      for (Index c = 0; c < bands; ++c)
+        for (Index i = 0; i < n; ++i)
+          to[(c * H + v) * W + u + i] = row[static_cast<std::size_t>((c * n + i) * f + f / 2)];
+    }
+  }
+  return CE_None;
+}
 
 /// 1 where the file itself calls a pixel valid.
 std::vector<std::uint8_t> file_mask(const fs::path& path, GDALDataset& d,
                                     const std::vector<int>& bands, const Part& part) {
-  const PixelWindow& w = part.window;
   const auto N = static_cast<std::size_t>(part.width() * part.height());
   std::vector<std::uint8_t> valid(N, 1);
   const int flags = d.GetRasterBand(bands[0])->GetMaskFlags();
@@ -44,10 +92,13 @@ std::vector<std::uint8_t> file_mask(const fs::path& path, GDALDataset& d,
   std::fill(valid.begin(), valid.end(), std::uint8_t{0});
   for (std::size_t b = 0; b < masks; ++b) {
     GDALRasterBand* mask = d.GetRasterBand(bands[b])->GetMaskBand();
-    if (mask->RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0),
-                       static_cast<int>(w.width), static_cast<int>(w.height), band.data(),
-                       static_cast<int>(part.width()), static_cast<int>(part.height()), GDT_Byte, 0,
-                       0, nullptr) != CE_None)
+    const auto read = [&](const PixelWindow& w, std::uint8_t* to, Index width, Index height) {
+      return mask->RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0),
+                            static_cast<int>(w.width), static_cast<int>(w.height), to,
+                            static_cast<int>(width), static_cast<int>(height), GDT_Byte, 0, 0,
+                            nullptr);
+    };
+    if (read_part(part, 1, band.data(), read) != CE_None)
       throw IoError(path.string() + ": the mask cannot be read, expected a whole file; " +
                     gdal_error());
     for (std::size_t i = 0; i < N; ++i) valid[i] = valid[i] || band[i] != 0;
@@ -150,13 +201,19 @@ Image read_pixels(const fs::path& path, GDALDataset& d, RasterInfo info, const P
   const Index C = info.bands, H = part.height(), W = part.width(), N = H * W;
   check_content(path, d);
   // pixels and validity as floats, two masks of a byte
-  check_memory(path, d, static_cast<double>(N) * (4 * static_cast<double>(C + 1) + 2));
+  const Index row = part.by_rows() ? C * std::min(part.columns, W) * part.factor : 0;
+  check_memory(
+      path, d,
+      static_cast<double>(N) * (4 * static_cast<double>(C + 1) + 2) + 4 * static_cast<double>(row));
   image.pixels = Tensor::uninitialised({C, H, W});
+  const auto read = [&](const PixelWindow& from, float* to, Index width, Index height) {
+    return d.RasterIO(GF_Read, static_cast<int>(from.x0), static_cast<int>(from.y0),
+                      static_cast<int>(from.width), static_cast<int>(from.height), to,
+                      static_cast<int>(width), static_cast<int>(height), GDT_Float32,
+                      static_cast<int>(C), bands.data(), 0, 0, 0, nullptr);
+  };
   CPLErrorReset();
-  if (d.RasterIO(GF_Read, static_cast<int>(w.x0), static_cast<int>(w.y0),
-                 static_cast<int>(W * part.factor), static_cast<int>(H * part.factor),
-                 image.pixels.data(), static_cast<int>(W), static_cast<int>(H), GDT_Float32,
-                 static_cast<int>(C), bands.data(), 0, 0, 0, nullptr) != CE_None)
+  if (read_part(part, C, image.pixels.data(), read) != CE_None)
     throw IoError(path.string() + ": the pixels cannot be read, expected a whole file; " +
                   gdal_error());
 
@@ -201,7 +258,11 @@ Image open_part(const ViewSource& source, const F& choose) {
   const DatasetPtr d = open_raster(source.raster);
   RasterInfo info = info_of(source.raster, *d);
   complete(info, source);
-  const Part part = choose(info);
+  Part part = choose(info);
+  if (part.factor > 1) {
+    part.overviews = decodes_smaller(*d, info);
+    part.columns = columns_together(*d, part.factor);
+  }
   return read_pixels(source.raster, *d, std::move(info), part);
 }
 

@@ -146,15 +146,19 @@ Image open_view(const std::filesystem::path& path,
 /// throws  IoError as `open_view`, and for a window that leaves the image
 Image open_window(const ViewSource& source, const PixelWindow& window);
 /// Every `factor`-th column and row of an image, from the middle of the first `factor` on; what is
-/// left at the right and lower rim is cut off. The values are those of the image, so that a border
-/// keeps its one value, and the camera is the reduced image's.
+/// left at the right and lower rim is cut off. The values are those of the image, whatever overviews it
+/// has, so that a border keeps its one value, and the camera is the reduced image's.
+/// Of JPEG 2000 the values are those of the nearest of its own resolutions: to decode a large image
+/// whole takes minutes, ten times as long and more. They are smooth means, so that a border keeps its
+/// value but beside what it surrounds.
 /// throws  IoError as `open_view`; for an image that has fewer columns or rows than `factor`
 Image open_reduced(const ViewSource& source, Index factor);
+/// What `open_view(path, image_dirs)` says of an image, without its pixels.
+/// throws  IoError as `open_view`
+RasterInfo view_info(const std::filesystem::path& path,
+                     const std::vector<std::filesystem::path>& image_dirs = {});
 /// Bounds what the readers keep of blocks they have read, for the whole program; unless the user
 /// has (GDAL_CACHEMAX in the environment). GDAL takes a twentieth of the memory.
 void limit_block_cache(std::size_t bytes);
-/// The same without the pixels.
-RasterInfo view_info(const std::filesystem::path& path,
-                     const std::vector<std::filesystem::path>& image_dirs = {});
 
 }  // namespace satsurf::rpc

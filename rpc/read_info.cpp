@@ -220,12 +220,7 @@ RasterInfo info_of(const fs::path& path, GDALDataset& d) {
     info.local_crs = name == nullptr ? "unnamed" : name;
   } else if (crs != nullptr) {
     const char* code = crs->GetAuthorityCode(nullptr);
-    char* wkt = nullptr;
-    if (code)
-      info.crs = std::string("EPSG:") + code;
-    else if (crs->exportToWkt(&wkt) == OGRERR_NONE)
-      info.crs = wkt;
-    CPLFree(wkt);
+    info.crs = code ? std::string("EPSG:") + code : wkt_of(*crs, nullptr);
   }
   info.rgb_channels = rgb_channels(d, bands, domains[1]);
   return info;

@@ -10,7 +10,6 @@
 #include <cmath>
 #include <sstream>
 
-#include <cpl_minixml.h>
 #include <nlohmann/json.hpp>
 
 namespace satsurf::rpc {
@@ -162,13 +161,9 @@ Items items_of_rpb(const std::string& text) {
   return items;
 }
 
-struct XmlDeleter {
-  void operator()(CPLXMLNode* node) const { CPLDestroyXMLNode(node); }
-};
-
 Items items_of_xml(const std::string& text, const std::string& where) {
   const GdalScope scope;
-  const std::unique_ptr<CPLXMLNode, XmlDeleter> root(CPLParseXMLString(text.c_str()));
+  const XmlPtr root(CPLParseXMLString(text.c_str()));
   if (!root) throw IoError(where + ": damaged XML; " + gdal_error());
   Items items;
   const auto take = [&](const std::string& key, const CPLXMLNode* node, const std::string& name) {

@@ -70,17 +70,9 @@ using TransformerPtr = std::unique_ptr<void, TransformerDeleter>;
 TransformerPtr transformer_between(GDALDataset& from, const OGRSpatialReference& from_ground,
                                    GDALDataset& to, const OGRSpatialReference& to_ground) {
   constexpr double kExact = 0.01;  // cells
-  const auto wkt = [](const OGRSpatialReference& crs) {
-    const char* const options[] = {"FORMAT=WKT2_2019", nullptr};
-    char* text = nullptr;
-    crs.exportToWkt(&text, options);
-    const std::string out = text == nullptr ? "" : text;
-    CPLFree(text);
-    return out;
-  };
   CPLStringList options;
-  options.SetNameValue("SRC_SRS", wkt(from_ground).c_str());
-  options.SetNameValue("DST_SRS", wkt(to_ground).c_str());
+  options.SetNameValue("SRC_SRS", wkt_of(from_ground, "WKT2_2019").c_str());
+  options.SetNameValue("DST_SRS", wkt_of(to_ground, "WKT2_2019").c_str());
   options.SetNameValue("ALLOW_BALLPARK", "NO");
   void* exact = GDALCreateGenImgProjTransformer2(&from, &to, options.List());
   if (exact == nullptr)
@@ -228,18 +220,11 @@ void warp_raster(const fs::path& path, const ProjectedGrid& grid, Resampling how
     throw IoError(path.string() + ": names no reference system, expected a zone of UTM");
   const OGRSpatialReference from_ground = ground_of(*was), ground = system_from(grid.crs.wkt);
   const OGRSpatialReference crs = with_heights(ground, *was);
-  const fs::path rows = path.string() + ".rows";
-  struct Removed {
-    fs::path file;
-    ~Removed() {
-      std::error_code ignored;
-      fs::remove(file, ignored);
-    }
-  } const removed{rows};
+  const TemporaryFile rows(path.string() + ".rows");
   GDALRasterBand* first = from->GetRasterBand(1);
   const int bands = from->GetRasterCount();
   DatasetPtr to =
-      bare_raster(path, rows, bands, grid.height, grid.width, first->GetRasterDataType());
+      bare_raster(path, rows.path(), bands, grid.height, grid.width, first->GetRasterDataType());
   const auto check = [&](bool done) {
     if (!done) throw IoError(path.string() + ": the GeoTIFF cannot be made; " + gdal_error());
   };

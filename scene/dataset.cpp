@@ -8,7 +8,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <optional>
 #include <set>
 #include <utility>
@@ -61,6 +60,7 @@ SceneFiles files_of_scene(const fs::path& folder, const std::string& name) {
 }
 
 /// A raster of the truth.
+/// zone    of one that names no system
 /// throws  IoError for one of several bands
 rpc::GeoRaster read_one_band(const fs::path& file, const rpc::UtmZone& zone) {
   rpc::GeoRaster raster = rpc::read_geo_raster(file, zone);
@@ -70,24 +70,14 @@ rpc::GeoRaster read_one_band(const fs::path& file, const rpc::UtmZone& zone) {
   return raster;
 }
 
-/// throws  IoError unless the classes lie on the DSM's cells
-void check_same_grid(const fs::path& file, const rpc::GeoRaster& classes, const fs::path& dsm_file,
-                     const rpc::GeoRaster& dsm) {
-  const auto text_of = [](const rpc::GeoRaster& r) {
-    char text[160];
-    std::snprintf(text, sizeof text, "%td x %td cells of %.10g m from %.10g, %.10g",
-                  r.values.dim(1), r.values.dim(0), r.grid.step, r.grid.x0, r.grid.y0);
-    return std::string(text);
-  };
-  const rpc::GeoGrid &a = classes.grid, &b = dsm.grid;
-  // files that differ in whether a pixel is an area or a point are half a cell apart
-  const double most = 0.6 * b.step,
-               cells = static_cast<double>(std::max(dsm.values.dim(0), dsm.values.dim(1)));
-  if (classes.values.shape() == dsm.values.shape() && std::abs(a.x0 - b.x0) < most &&
-      std::abs(a.y0 - b.y0) < most && std::abs(a.step - b.step) * cells < most)
-    return;
-  throw IoError(file.string() + ": " + text_of(classes) + ", expected the grid of " +
-                dsm_file.string() + ", " + text_of(dsm));
+/// The zone in which a surface model lies.
+/// throws  IoError for one in another system
+rpc::UtmZone zone_of(const fs::path& file, const rpc::GeoRaster& dsm) {
+  if (const auto zone = rpc::zone_near_epsg(dsm.grid.epsg)) return *zone;
+  throw IoError(file.string() + ": in " +
+                (dsm.grid.epsg == 0 ? "a system without a code of EPSG"
+                                    : "EPSG:" + std::to_string(dsm.grid.epsg)) +
+                ", expected a zone of UTM; warp it first (gdalwarp)");
 }
 
 /// Where the middle of a view lies.
@@ -118,7 +108,7 @@ struct Found {
   std::vector<View> views;
   /// Heights by the views' own files, m above the ellipsoid.
   rpc::HeightRange known{INFINITY, -INFINITY};
-  rpc::UtmZone zone;
+  rpc::UtmZone zone;                    ///< the truth's where that names one, else the first view's
   fs::path truth_file;                  ///< or where one was looked for
   std::optional<rpc::GeoRaster> truth;  ///< m above the ellipsoid
   Tensor classes;                       ///< on the truth's cells, or empty
@@ -143,11 +133,12 @@ Found find_files(const fs::path& folder, const std::string& name) {
   found.truth_file = files.dsm.empty() ? folder / (name + "_DSM.tif") : files.dsm;
   if (!path_exists(files.dsm)) return found;
   found.truth = read_one_band(files.dsm, found.zone);
+  found.zone = zone_of(files.dsm, *found.truth);
   rpc::require_heights(files.dsm, found.truth->values);
   if (path_exists(files.classes)) {
-    const rpc::GeoRaster c = read_one_band(files.classes, found.zone);
-    check_same_grid(files.classes, c, files.dsm, *found.truth);
-    found.classes = c.values;
+    const rpc::GeoRaster classes = read_one_band(files.classes, found.zone);
+    rpc::require_same_grid(files.classes, classes, files.dsm, *found.truth);
+    found.classes = classes.values;
   }
   return found;
 }

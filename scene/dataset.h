@@ -25,10 +25,12 @@ std::vector<std::string> list_scenes(const std::filesystem::path& folder);
 /// Those of WHU-TLC come in the order of their folders and are called SCENE_0, SCENE_1 and so on. Its
 /// truth is made of the heights of that view which looks down most steeply, in cells of the size of
 /// its pixels. Heights count up to twice the camera's HEIGHT_SCALE from its HEIGHT_OFF.
+/// The frame's zone is the one that the truth names, else that of the first view.
 /// The height range is the truth's, or without truth that of the JSON files; it stays 0 to 0 where
 /// there is neither.
 /// throws IoError naming the file and, for one that is missing, where it was looked for; also for
-///        a truth of several bands and for classes that are not on the DSM's grid
+///        a truth of several bands or in a system that is no zone of UTM on WGS84, and for classes
+///        that are not on the DSM's grid
 Scene load_scene(const std::filesystem::path& folder, const std::string& name);
 
 }  // namespace satsurf::scene

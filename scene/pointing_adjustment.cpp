@@ -182,11 +182,12 @@ class Bundle {
   /// points have a mean of zero. Displacements and not pixels: one image may be turned against
   /// another, or coarser.
   Eigen::MatrixXd offsets_that_leave_the_ground() const {
-    rpc::Geodetic middle;
+    const double lon0 = tracks_.front().ground.lon;  // they may lie across the antimeridian
+    rpc::Geodetic middle{lon0, 0, 0};
     for (const Track& t : tracks_) {
       const double share = 1 / static_cast<double>(tracks_.size());
-      middle.lon += share * t.ground.lon, middle.lat += share * t.ground.lat;
-      middle.h += share * t.ground.h;
+      middle.lon += share * std::remainder(t.ground.lon - lon0, 360);
+      middle.lat += share * t.ground.lat, middle.h += share * t.ground.h;
     }
     Eigen::MatrixXd ground_from_offsets(2, unknowns());
     for (std::size_t i = 0; i < cameras_.size(); ++i) {

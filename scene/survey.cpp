@@ -225,6 +225,17 @@ std::vector<rpc::Image> reduced_copies(const Survey& survey, const std::function
   return copies;
 }
 
+/// Takes away the views that were not chosen. Those that were stand in the same order, in which a file
+/// that was named twice may be chosen once.
+void keep_chosen(Survey& survey) {
+  std::vector<SurveyedView> kept;
+  const std::vector<View>& chosen = survey.user.scene.views;
+  for (SurveyedView& view : survey.views)
+    if (kept.size() < chosen.size() && chosen[kept.size()].file == view.source.file)
+      kept.push_back(std::move(view));
+  survey.views = std::move(kept);
+}
+
 }  // namespace
 
 Survey survey_views(const std::vector<fs::path>& files, const std::vector<fs::path>& image_dirs,
@@ -262,10 +273,7 @@ Survey survey_views(const std::vector<fs::path>& files, const std::vector<fs::pa
     return std::move(list).scene(wanted, poll);
   };
   out.user = made_of_copies(of_copies);
-  std::erase_if(out.views, [&](const SurveyedView& view) {  // those that were not chosen
-    return std::ranges::none_of(out.user.scene.views,
-                                [&](const View& v) { return v.file == view.source.file; });
-  });
+  keep_chosen(out);
   if (whole)
     for (std::size_t i = 0; i < out.views.size(); ++i)
       out.views[i].rpc = out.user.scene.views[i].rpc;
@@ -276,6 +284,7 @@ Survey survey_views(const std::vector<fs::path>& files, const std::vector<fs::pa
     of_copies.terrain = nullptr;
     UserScene again = made_of_copies(of_copies);
     again.pointing = std::move(out.user.pointing);
+    again.left_out = std::move(out.user.left_out);  // of these views none is
     again.range.trouble = std::move(trouble);
     out.user = std::move(again);
     if (out.user.pointing->applied) shift_copies(out);

@@ -9,7 +9,7 @@ namespace satsurf::scene {
 
 /// What of an image does not count, besides what its file declares.
 struct ValidityRules {
-  /// A pixel whose every channel has one of these values says nothing.
+  /// A pixel that has one of these values, the same in all channels, says nothing.
   std::vector<double> nodata{};
   /// Neither does one of a border, see `border_of`.
   bool borders = true;

@@ -30,13 +30,13 @@ struct LeftOut {
 
 /// Which views of many are used.
 struct ViewChoice {
-  std::vector<Index> kept;  ///< ascending; every two see common ground from two directions
+  std::vector<Index> kept;  ///< ascending; those with common ground see it from two directions
   std::vector<LeftOut> left_out;
 };
 
 /// Begins with the best pair and adds, as long as there are any, the view that goes best with all
-/// that were taken. Left out are views from the direction of another, views that do not see ground
-/// that all others see, and those beyond the most that are wanted.
+/// that were taken. Left out are views from the direction of another, views without the common ground
+/// that `together` asks for, and those beyond the most that are wanted.
 /// height_of  of the ground in a view, m above the ellipsoid
 /// most       that are kept, 2 or more
 /// together   connected takes views that see no ground of some of the others, too

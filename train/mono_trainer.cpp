@@ -154,8 +154,10 @@ nn::Mono train(const MonoTrainConfig& config, const fs::path& data, std::uint64_
   const auto scenes = training_scenes(data, 1, callbacks.reading);
   nn::Mono mono(config.mono, seed);
   MonoTask task(mono, config, scenes, seed);
-  run_training(task, config, to_json(config).dump(),
-               {.seed = seed, .checkpoint = checkpoint, .scenes = scenes.size()}, callbacks);
+  run_training(
+      task, config, to_json(config).dump(),
+      {.seed = seed, .checkpoint = checkpoint, .scenes = scenes.size(), .data = data_mark(scenes)},
+      callbacks);
   return mono;
 }
 

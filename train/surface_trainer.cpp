@@ -212,8 +212,9 @@ nn::SurfaceModel train(const SurfaceTrainConfig& config, const fs::path& data, s
   std::vector<scene::Scene> scenes;
   if (!data.empty()) {
     scenes = training_scenes(data, 2, callbacks.reading);
-    run.scenes = scenes.size();
+    run.scenes = scenes.size(), run.data = data_mark(scenes);
   } else {
+    run.data = kMadeUp;
     scene::check_config(config.simulate);
     if (config.simulate.views < 2)
       throw ConfigError("train: simulate.views is " + std::to_string(config.simulate.views) +

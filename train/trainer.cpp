@@ -198,6 +198,7 @@ nn::Model train(const TrainConfig& config, const fs::path& data, std::uint64_t s
                         ", expected more than views, which is " + std::to_string(config.views) +
                         ": one view is the target");
     if (callbacks.reading) callbacks.reading(0);
+    run.data = kMadeUp;
     SceneStream scenes(config.simulate, seed, config.scene_uses, config.scene_pool);
     train_on_samples(
         model, config, [&](Index i) { return training_sample(config, scenes, seed, i); }, run,
@@ -207,7 +208,7 @@ nn::Model train(const TrainConfig& config, const fs::path& data, std::uint64_t s
   const auto scenes = training_scenes(
       data, config.views + 1, callbacks.reading,
       ": the " + std::to_string(config.views) + " of views and one that is rendered");
-  run.scenes = scenes.size();
+  run.scenes = scenes.size(), run.data = data_mark(scenes);
   train_on_samples(
       model, config, [&](Index i) { return training_sample(config, scenes, seed, i); }, run,
       callbacks);

@@ -4,6 +4,7 @@
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/fields_json.h"
 #include "satsurf/core/files.h"
+#include "satsurf/core/hash.h"
 #include "satsurf/core/memory.h"
 #include "satsurf/core/version.h"
 #include "satsurf/nn/adamw.h"
@@ -17,6 +18,8 @@
 #include <fstream>
 #include <memory>
 #include <set>
+#include <sstream>
+#include <string_view>
 #include <system_error>
 
 namespace satsurf::train {
@@ -83,8 +86,9 @@ void start_from(const fs::path& init, TrainingTask& task, const TrainingCallback
 
 /// Takes network, optimiser and averaged weights from a checkpoint of the same run.
 /// average  none where nothing is averaged
-void resume_from(const fs::path& checkpoint, TrainingTask& task, nn::AdamW& optimiser,
-                 nn::RunningMean* average, const nlohmann::json& config, std::uint64_t seed) {
+void resume_from(const TrainingRun& run, TrainingTask& task, nn::AdamW& optimiser,
+                 nn::RunningMean* average, const nlohmann::json& config) {
+  const fs::path& checkpoint = run.checkpoint;
   const TensorFile file = load_safetensors(checkpoint);
   const auto saved = file.metadata.find("train"), saved_seed = file.metadata.find("seed");
   if (saved == file.metadata.end() || saved_seed == file.metadata.end())
@@ -94,10 +98,14 @@ void resume_from(const fs::path& checkpoint, TrainingTask& task, nn::AdamW& opti
   if (!before.is_object())
     throw IoError(checkpoint.string() + ": its configuration is " + before.dump() +
                   ", expected a JSON object");
-  const std::string others = differences(before, saved_seed->second, config, seed);
+  const std::string others = differences(before, saved_seed->second, config, run.seed);
   if (!others.empty())
     throw ConfigError(checkpoint.string() +
                       ": made with another configuration, expected the same to resume; " + others);
+  const auto data = file.metadata.find("data");  // older ones do not tell
+  if (data != file.metadata.end() && !run.data.empty() && data->second != run.data)
+    throw ConfigError(checkpoint.string() + ": trained on " + data->second + ", and not on " +
+                      run.data + ", expected the same --data to resume");
   task.parameters().load(file, task.prefix(), checkpoint.string());
   optimiser.load(file, checkpoint.string());
   if (average != nullptr) average->load(file, checkpoint.string());
@@ -189,6 +197,21 @@ std::vector<scene::Scene> training_scenes(const fs::path& folder, Index least,
   return scenes;
 }
 
+std::string data_mark(const std::vector<scene::Scene>& scenes) {
+  std::string all;
+  for (const scene::Scene& scene : scenes) {
+    all += scene.name;
+    for (const scene::View& view : scene.views) all += '\n' + view.name + view.rgb.shape().str();
+    const auto heights = scene.truth->z.values();
+    const std::string_view bytes(reinterpret_cast<const char*>(heights.data()),
+                                 heights.size_bytes());
+    all += '\n' + std::to_string(fnv1a(bytes)) + '\n';
+  }
+  std::ostringstream mark;
+  mark << scenes.size() << " scenes of hash " << std::hex << fnv1a(all);
+  return mark.str();
+}
+
 void TrainingFolder::add(const StepReport& r) {
   const fs::path file = folder_ / "train.jsonl";
   if (!lines_.is_open()) {
@@ -232,9 +255,7 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
   const bool resume = !run.checkpoint.empty();
   if (!resume && !settings.init.empty()) start_from(settings.init, task, callbacks);
   nn::RunningMean average(task.parameters(), settings.average);
-  if (resume)
-    resume_from(run.checkpoint, task, optimiser, settings.average > 0 ? &average : nullptr, config,
-                run.seed);
+  if (resume) resume_from(run, task, optimiser, settings.average > 0 ? &average : nullptr, config);
   Index step = optimiser.steps();
 
   const auto save = [&] {
@@ -245,6 +266,7 @@ void run_training(TrainingTask& task, const TrainingSettings& settings,
                         {"version", program_version()}, {"git", program_git_hash()}};
     task.store(weights);
     TensorFile checkpoint = weights;
+    if (!run.data.empty()) checkpoint.metadata["data"] = run.data;
     optimiser.store(checkpoint);
     if (settings.average > 0) {
       average.store(checkpoint);

@@ -146,6 +146,9 @@ struct TrainingRun {
   std::uint64_t seed = 0;              ///< of the initial weights and of all that is drawn
   std::filesystem::path checkpoint{};  ///< to go on from, bit for bit; empty for a new run
   std::size_t scenes = 0;              ///< trained on, for the files to tell
+  /// What tells the samples from others, see `data_mark`, which a checkpoint keeps and resuming compares;
+  /// empty where nobody knows.
+  std::string data{};
 };
 
 /// Refuses windows that the memory cannot hold with the smallest network, before anything is read.
@@ -197,5 +200,11 @@ TrainingCallbacks keep_in(const std::filesystem::path& folder,
 std::vector<scene::Scene> training_scenes(const std::filesystem::path& folder, Index least,
                                           const std::function<void(double)>& reading,
                                           const std::string& what = {});
+
+/// What tells a data set from others: how many scenes there are, and a hash of their names, images'
+/// names and sizes, and true heights.
+std::string data_mark(const std::vector<scene::Scene>& scenes);
+/// That of scenes made up on the way, of which configuration and seed tell the rest.
+inline constexpr const char* kMadeUp = "scenes made up on the way";
 
 }  // namespace satsurf::train

@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <string>
 
 namespace satsurf::scene {
@@ -291,17 +292,11 @@ GivenSurface read_surface(const std::filesystem::path& dsm, const std::filesyste
   dim.match("heights", heights.values, "H W");
   rpc::require_heights(dsm, heights.values);
   GivenSurface surface{.z = heights.values, .classes = {}, .grid = heights.grid, .zone = unnamed};
-  const int epsg = heights.grid.epsg;
-  const auto in = [&](int first, bool north) {
-    if (epsg <= first || epsg > first + 60) return false;
-    surface.zone = {.number = epsg - first, .north = north};
-    return true;
-  };
-  // WGS 84, ETRS89 and NAD83 differ by less than what a simulation would notice.
-  if (!in(32600, true) && !in(32700, false) && !in(25800, true) && !in(26900, true)) {
-    throw IoError(dsm.string() + ": EPSG:" + std::to_string(epsg) +
+  const std::optional<rpc::UtmZone> zone = rpc::zone_near_epsg(heights.grid.epsg);
+  if (!zone)
+    throw IoError(dsm.string() + ": EPSG:" + std::to_string(heights.grid.epsg) +
                   ", expected a zone of UTM or no system");
-  }
+  surface.zone = *zone;
   Index known = 0;
   for (const float z : surface.z.values()) known += std::isfinite(z);
   if (2 * known < surface.z.count())

@@ -42,12 +42,6 @@ struct Horizon {
   Vec towards(double azimuth) const { return std::sin(azimuth) * east + std::cos(azimuth) * north; }
 };
 
-std::array<double, 20> monomials(double P, double L, double H) {
-  return {1,         L,         P,         H,         L * P,     L * H,     P * H,
-          L * L,     P * P,     H * H,     P * L * H, L * L * L, L * P * P, L * H * H,
-          L * L * P, P * P * P, P * H * H, L * L * H, P * P * H, H * H * H};
-}
-
 }  // namespace
 
 PushBroom::PushBroom(const Acquisition& a) : acquisition_(a) {
@@ -155,7 +149,7 @@ RpcFit fit_rpc(const PushBroom& camera, double low, double high, double margin_p
                                                  .h = r.height_off + H * r.height_scale});
         r.samp_scale = std::max(r.samp_scale, std::abs(pixel.x - r.samp_off));
         r.line_scale = std::max(r.line_scale, std::abs(pixel.y - r.line_off));
-        samples.push_back({monomials(P, L, H), pixel});
+        samples.push_back({rpc::rpc_monomials(P, L, H), pixel});
       }
     }
   }

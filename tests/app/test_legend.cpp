@@ -101,6 +101,8 @@ TEST_CASE("a map lies beside its world file and its reference system") {
   CHECK(test::read_bytes(folder / "map.pgw") == "0.5\n0\n0\n-0.5\n400000.25\n2999999.75\n");
   const std::string crs = test::read_bytes(folder / "map.png.aux.xml");
   CHECK(crs.starts_with("<PAMDataset>\n  <SRS>PROJCS[&quot;WGS 84 / UTM zone 17N&quot;"));
-  write_map(folder / "nowhere.png", Tensor({3, 4, 6}, 0.5F), nullptr, {0, 0, 0, 1});
-  CHECK(!std::filesystem::exists(folder / "nowhere.png.aux.xml"));
+  for (const char* name : {"nowhere.png", "map.png"}) {  // of which none has a system afterwards
+    write_map(folder / name, Tensor({3, 4, 6}, 0.5F), nullptr, {0, 0, 0, 1});
+    CHECK(!std::filesystem::exists(folder / (std::string(name) + ".aux.xml")));
+  }
 }

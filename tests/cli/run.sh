@@ -245,7 +245,7 @@ holds "the report tells it" grep -q 'what the rasters are in; this page is in EP
 holds "surfels stay where they are" cmp moved/surfels.ply bare/surfels.ply
 holds "and pictures" cmp moved/height.png bare/height.png
 for file in dsm confidence ortho views; do holds "$file has moved" bash -c "test -s moved/$file.tif && ! cmp -s moved/$file.tif bare/$file.tif"; done
-holds "nothing is left over" test -z "$(ls moved/*.rows moved/*.part 2>/dev/null)"
+holds "nothing is left over" test -z "$(ls moved/*.rows moved/*.part moved/.*.partial-* 2>/dev/null)"
 succeeds "a coloured mesh of them" "$satsurf" export --dsm moved/dsm.tif --ortho moved/ortho.tif --to moved.glb --quiet
 rm -rf moved moved.glb
 succeeds "the plan in another system" "$satsurf" reconstruct "${images[@]}" --crs EPSG:3857 --dry-run --weights $weights --quiet
@@ -266,6 +266,9 @@ succeeds "an area of interest" "$satsurf" reconstruct "${images[@]}" --out part 
 for file in dsm confidence views ortho; do holds "the part has $file.tif" test -s part/$file.tif; done
 holds "the record has a table of tiles" grep -q '"status": "done"' part/run.json
 "$satsurf" evaluate --dsm part/dsm.tif --truth bare/dsm.tif >stdout 2>stderr
+share() { sed -nE 's/^ *"completeness": ([0-9.]+),?$/\1/p' "$1/run.json" | head -1; }
+holds "it knows of the triangle what the whole knows" awk -v part="$(share part)" -v whole="$(share bare)" 'BEGIN { exit !(part > 0.8 * whole) }'
+holds "surfels lie there alone" test "$(stat -c %s part/surfels.ply)" -lt "$(($(stat -c %s bare/surfels.ply) * 6 / 10))"
 holds "it lies in the triangle" grep -qE "completeness ([5-9]|[1-4][0-9])\.[0-9] %" stdout
 holds "no tiles are left" test ! -e part.tiles
 read -r lon lat < <("$satsurf" info "${images[0]}" | sed -nE 's/^  centre +lon ([-0-9.]+), lat ([-0-9.]+) .*/\1 \2/p')
@@ -898,6 +901,10 @@ refuses "a full disk" 1 "full.*checkpoint.safetensors.*cannot be written" bash -
   'ulimit -f 16; exec "$@"' full "$satsurf" train --data data --out full/new "${tiny[@]}"
 refuses "resume with another configuration" 2 \
   "checkpoint.safetensors: made with .* to resume; lr: saved 0.001 vs given 0.1$" "$satsurf" train --data data --out whole "${tiny[@]}" --resume --lr 0.1
+refuses "resume on scenes made up on the way" 2 "trained on 2 scenes of hash .* and not on scenes made up on the way, expected the same --data" \
+  "$satsurf" train --out whole "${tiny[@]}" --resume
+refuses "resume on other scenes" 2 "trained on 2 scenes of hash .* and not on 1 scenes of hash [0-9a-f]*, expected the same --data to resume" \
+  "$satsurf" train --data "$(cp -r data fewer; rm fewer/*/SIM_002*; echo fewer)" --out whole "${tiny[@]}" --resume
 refuses "resume without a checkpoint" 1 "checkpoint.safetensors" "$satsurf" train --data data --out no "${tiny[@]}" --resume
 mkdir -p bare/Track3-RGB && cp data/Track3-RGB/SIM_001* bare/Track3-RGB/
 refuses "training without truth" 1 "SIM_001.*_DSM.tif" "$satsurf" train --data bare --out no "${tiny[@]}"

@@ -201,6 +201,28 @@ TEST_CASE("load_dsm_pair") {
   CHECK(pair.frame->zone == rpc::UtmZone{17, true});
   CHECK(pair.frame->easting0 == 435000);
   CHECK(pair.truth.z[5] == 6);
+  CHECK(pair.east == 435000);
+  CHECK(pair.north == 3354001);  // half goes up
+  CHECK(pair.epsg == 32617);
+  CHECK(pair.geo_grid(pair.truth) == grid);
+
+  // a system of another kind gives no frame but a place all the same
+  rpc::GeoGrid lambert = grid;
+  lambert.epsg = 2154;
+  rpc::write_geo_raster(folder.path / "lambert.tif", Tensor({2, 3}), lambert);
+  rpc::GeoGrid unnamed = moved;
+  unnamed.epsg = 0;
+  rpc::write_geo_raster(folder.path / "unnamed.tif", Tensor({1, 2}), unnamed);
+  for (const auto& [found, truth] :
+       {std::pair{"unnamed.tif", "lambert.tif"}, std::pair{"lambert.tif", "unnamed.tif"}}) {
+    const DsmPair other = load_dsm_pair(folder.path / found, folder.path / truth);
+    CHECK_FALSE(other.frame.has_value());
+    CHECK(other.epsg == 2154);
+    CHECK(other.geo_grid(other.truth).x0 ==
+          doctest::Approx(truth == std::string("lambert.tif") ? 435000.25 : 435002.25)
+              .epsilon(1e-12));
+  }
+  CHECK(load_dsm_pair(folder.path / "unnamed.tif", folder.path / "unnamed.tif").epsg == 0);
 
   moved.epsg = 32618;
   rpc::write_geo_raster(folder.path / "other.tif", Tensor({1, 2}), moved);

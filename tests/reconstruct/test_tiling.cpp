@@ -8,6 +8,7 @@
 
 #include <array>
 #include <cmath>
+#include <cstring>
 #include <filesystem>
 #include <limits>
 #include <string>
@@ -492,6 +493,48 @@ TEST_CASE("a tile whose heights take more than a window has several of them") {
     const Index of_whole = known(whole.heights, k * W / 5, (k + 1) * W / 5);
     CHECK(2 * known(parts.heights, k * W / 5, (k + 1) * W / 5) >= of_whole);
   }
+}
+
+TEST_CASE("outside of what is asked for a tile has no surfels and no cells that count") {
+  const Files files(160, 2);
+  const scene::Survey survey = files.survey();
+  const nn::Model model(nn::model_preset("tiny"), 3);
+  ReconstructOptions options;
+  options.surface = Surface::plain, options.narrow = false;
+  const Tiling tiling = plan_tiles(model.config(), survey, options, {});
+  REQUIRE(tiling.tiles.size() == 1);
+  const Tile& tile = tiling.tiles[0];
+  const scene::WindowedScene part =
+      scene::read_windows(survey, tiling.ground_of(tile), survey.user.scene.z_range);
+  const Grid core = tiling.grid_of(tile.core);
+  const Index column = core.width / 3;  // from here on nothing is asked for
+  const auto outside = [&](const Grid& grid) {
+    REQUIRE(grid.width == core.width);
+    Tensor out({grid.height, grid.width});
+    for (Index i = 0; i < out.count(); ++i) out[i] = i % grid.width >= column ? 1 : 0;
+    return out;
+  };
+  const TileSurface whole = reconstruct_tile(model, part, tiling, tile, {}, options),
+                    some = reconstruct_tile(model, part, tiling, tile, {}, options, outside);
+  CHECK(some.expected > 0);
+  CHECK(some.expected < whole.expected / 2);
+  CHECK(some.found <= some.expected);
+  // what lies there may hide what is asked for, so it is made
+  CHECK(std::memcmp(some.heights.data(), whole.heights.data(),
+                    sizeof(float) * static_cast<std::size_t>(whole.heights.count())) == 0);
+  const double limit = core.east + static_cast<double>(column) * core.step;
+  const auto west = [&](const TileSurface& surface) {
+    const Tensor& means = surface.surfels.means.value();
+    Index n = 0;
+    for (Index i = 0; i < means.dim(0); ++i) n += static_cast<double>(means[3 * i]) < limit;
+    return n;
+  };
+  CHECK(west(some) > 0);
+  CHECK(west(some) == west(whole));
+  CHECK(west(some) == some.surfels.means.dim(0));
+  CHECK(reconstruct_tile(model, part, tiling, tile, {}, options, [](const Grid& grid) {
+          return Tensor({grid.height, grid.width}, 1.f);
+        }).empty);
 }
 
 TEST_CASE("only the ground that is wanted is made, on the cells of the whole") {

@@ -228,6 +228,31 @@ TEST_CASE("a box in degrees becomes the same ground in the zone") {
   CHECK_THROWS_AS(area_of_box({0, 0, 50, 2}, kZone), ConfigError);
 }
 
+TEST_CASE("a box across the antimeridian") {
+  const UtmZone zone{60, false};
+  const Area area = area_of_box({179.9, -17, -179.95, -16.8}, zone);
+  const auto in = [&](double lon, double lat) {
+    const auto at = utm_from_geodetic(zone, lon, lat);
+    return area.contains(at[0], at[1]);
+  };
+  for (const double lon : {179.91, 179.99, -179.99, -179.96}) CHECK(in(lon, -16.9));
+  for (const double lon : {179.89, -179.94, 179.0, 0.0}) CHECK_FALSE(in(lon, -16.9));
+  CHECK_FALSE(in(180, -17.01));
+  const std::array<double, 4> bounds = area.bounds();
+  CHECK(bounds[2] - bounds[0] == doctest::Approx(16000).epsilon(0.05));  // 0.15 degrees
+  // ends at it, from either side
+  CHECK(area_of_box({179.9, -17, 180, -16.8}, zone).contains(bounds[0] + 1000, bounds[1] + 5000));
+  CHECK_NOTHROW(area_of_box({-180, -17, -179.9, -16.8}, zone));
+  // the long way round, and nothing at all
+  CHECK(test::error_of<ConfigError>([&] {
+          area_of_box({175, -17, -174, -16}, zone);
+        }) ==
+        "bbox: 175,-17,-174,-16, expected west, south, east and north in degrees, of at most 10 a "
+        "side, with west above east only across the antimeridian");
+  CHECK_THROWS_AS(area_of_box({180, -17, -180, -16}, zone), ConfigError);
+  CHECK_THROWS_AS(area_of_box({179, -17, 181, -16}, zone), ConfigError);
+}
+
 TEST_CASE("a raster written row by row holds what one written at once holds") {
   const TempFolder folder("rows");
   const float nan = std::numeric_limits<float>::quiet_NaN();
@@ -264,6 +289,24 @@ TEST_CASE("a raster written row by row holds what one written at once holds") {
     GeoRasterRows left(folder / "left.tif", 2, 10, 10, grid, tags);
     CHECK_THROWS_AS(left.finish(), Error);
   }
+  CHECK(std::distance(std::filesystem::directory_iterator(folder.path()), {}) == 2);
+  // tags that do not fit come when the room has been taken
+  GeoTags one_name = tags;
+  one_name.band_names = {"a"};
+  CHECK(test::error_of<Error>([&] {
+          GeoRasterRows(folder / "odd.tif", 2, 700, 300, grid, one_name);
+        }) == "write_geo_raster: 1 band names, expected 2");
+  CHECK(std::distance(std::filesystem::directory_iterator(folder.path()), {}) == 2);
+  // a name that is taken by a folder is found at the end
+  std::filesystem::create_directories(folder / "folder.tif" / "inside");
+  {
+    GeoRasterRows taken(folder / "folder.tif", 2, 1, 1, grid, tags);
+    taken.append(Tensor({2, 1, 1}));
+    CHECK(test::error_of<IoError>([&] {
+            taken.finish();
+          }).starts_with((folder / "folder.tif").string() + ": cannot be put in its place ("));
+  }
+  std::filesystem::remove_all(folder / "folder.tif");
   CHECK(std::distance(std::filesystem::directory_iterator(folder.path()), {}) == 2);
   // no room: known before the first row, and nothing is left
   rlimit before{};

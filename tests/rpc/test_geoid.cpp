@@ -38,4 +38,7 @@ TEST_CASE("a datum that is no geoid is refused") {
   CHECK_THROWS_AS(geoid_heights(HeightDatum::ellipsoid, {{0, 0}}), Error);
   Tensor heights({2, 2}, 0.0F);
   CHECK_THROWS_AS(refer_to_geoid(heights, {32631, 500000, 0, 1}, HeightDatum::none), Error);
+  CHECK_THROWS_WITH_AS(
+      refer_to_geoid(heights, {2154, 500000, 0, 1}, HeightDatum::egm96),
+      "refer_to_geoid: a grid in EPSG:2154, expected a zone of UTM (EPSG:326xx or 327xx)", Error);
 }

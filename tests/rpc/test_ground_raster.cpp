@@ -78,6 +78,9 @@ TEST_CASE("a mask is where its raster is neither zero nor nodata, in any system"
   const auto there = utm_from_geodetic({18, true}, lon, lat);
   const Tensor other = mask.on({32618, there[0] - 2.5, there[1] + 2.5, 5}, 1, 1);
   CHECK(other[0] == 1);
+  CHECK_THROWS_WITH_AS(
+      mask.on({2154, kEast, kNorth + 200, 5}, 40, 40),
+      "GroundMask::on: a grid in EPSG:2154, expected a zone of UTM (EPSG:326xx or 327xx)", Error);
 }
 
 TEST_CASE("a mask of polygons") {

@@ -249,6 +249,19 @@ TEST_CASE("real cameras: GDAL's transformer, differences, localisation") {
   CHECK(worst_round_trip < 1e-6);
 }
 
+TEST_CASE("zones by their codes, and codes that name none") {
+  for (const UtmZone zone : {UtmZone{1, true}, {60, true}, {1, false}, {17, true}, {60, false}})
+    CHECK(zone_of_epsg(zone.epsg()) == zone);
+  for (const int epsg :
+       {0, 17, 2154, 4326, 25832, 26917, 32600, 32661, 32700, 32761, -32617, 326017})
+    CHECK_FALSE(zone_of_epsg(epsg).has_value());
+  CHECK(zone_near_epsg(32717) == UtmZone{17, false});
+  CHECK(zone_near_epsg(25832) == UtmZone{32, true});
+  CHECK(zone_near_epsg(26917) == UtmZone{17, true});
+  for (const int epsg : {0, 2154, 4326, 25800, 26961})
+    CHECK_FALSE(zone_near_epsg(epsg).has_value());
+}
+
 TEST_CASE("UTM agrees with PROJ in the zone and its neighbours") {
   for (const UtmZone zone :
        {UtmZone{17, true}, UtmZone{40, false}, UtmZone{1, true}, UtmZone{60, false}}) {

@@ -7,12 +7,16 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "tests/ref/rpc_data.h"
 #include "tests/temp_folder.h"
 #include <cpl_conv.h>
 #include <doctest/doctest.h>
 #include <gdal_priv.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 
 using namespace satsurf;
 using namespace satsurf::rpc;
@@ -33,6 +37,8 @@ bool same(const Tensor& a, const Tensor& b) {
   return true;
 }
 
+std::vector<std::string>* flushed = nullptr;  ///< names of what `fsync` was called for, if wanted
+
 /// What a plain GDAL user writes, with the given placement.
 void plain_tiff(const std::filesystem::path& path, std::array<double, 6> transform, int epsg) {
   GDALAllRegister();
@@ -48,6 +54,75 @@ void plain_tiff(const std::filesystem::path& path, std::array<double, 6> transfo
 }
 
 }  // namespace
+
+/// Stands for the C library's in this program.
+extern "C" int fsync(int file) {
+  if (flushed != nullptr)
+    flushed->push_back(
+        std::filesystem::read_symlink("/proc/self/fd/" + std::to_string(file)).string());
+  return static_cast<int>(::syscall(SYS_fsync, file));
+}
+
+TEST_CASE("a raster is on the disk before it takes its place, and its name after that") {
+  const test::TempFolder scratch("flushed");
+  const std::string folder = std::filesystem::canonical(scratch.path()).string();
+  const GeoGrid grid{32617, 500000, 3350000, 0.5};
+  GeoRasterRows rows(scratch / "rows.tif", 1, 4, 3, grid, ellipsoidal_height("x"));
+  rows.append(heights({4, 3}, 1));
+  std::vector<std::string> seen;
+  flushed = &seen;
+  try {
+    rows.finish();
+  } catch (...) {
+    flushed = nullptr;
+    throw;
+  }
+  flushed = nullptr;
+  CHECK(seen == std::vector<std::string>{folder + "/rows.tif.part", folder});
+  CHECK(std::filesystem::exists(scratch / "rows.tif"));
+}
+
+TEST_CASE("rasters on one grid, and on another") {
+  const auto raster = [](Index rows, Index columns, const GeoGrid& grid) {
+    return GeoRaster{Tensor({rows, columns}), grid, {}};
+  };
+  const GeoGrid grid{32617, 435000, 3354000, 0.5};
+  const GeoRaster known = raster(4, 6, grid);
+  const auto says = [&](const GeoRaster& other) {
+    return test::error_of<IoError>([&] { require_same_grid("a.tif", other, "b.tif", known); });
+  };
+  CHECK(says(raster(4, 6, grid)) == "no exception");
+  CHECK(says(raster(4, 6, {0, grid.x0, grid.y0, grid.step})) == "no exception");
+  CHECK(says(raster(4, 6, {32617, grid.x0 + 0.25, grid.y0 - 0.25, grid.step})) == "no exception");
+  const std::string expected =
+      ", expected the grid of b.tif, 6 x 4 cells of 0.5 m from 435000, 3354000 in EPSG:32617";
+  CHECK(says(raster(4, 5, grid)) ==
+        "a.tif: 5 x 4 cells of 0.5 m from 435000, 3354000 in EPSG:32617" + expected);
+  CHECK(says(raster(4, 6, {0, 435000.5, 3354000, 0.5})) ==
+        "a.tif: 6 x 4 cells of 0.5 m from 435000.5, 3354000" + expected);
+  CHECK(says(raster(4, 6, {32617, 435000, 3354000, 0.6})) ==
+        "a.tif: 6 x 4 cells of 0.6 m from 435000, 3354000 in EPSG:32617" + expected);
+  CHECK(says(raster(4, 6, {32618, 435000, 3354000, 0.5})) ==
+        "a.tif: 6 x 4 cells of 0.5 m from 435000, 3354000 in EPSG:32618" + expected);
+  CHECK(says({Tensor({3, 4, 6}), grid, {}}) ==
+        "a.tif: 6 x 4 cells of 0.5 m from 435000, 3354000 in EPSG:32617, 3 bands" + expected);
+}
+
+TEST_CASE("a system of no place on the Earth names none") {
+  const test::TempFolder scratch("local");
+  const auto path = scratch / "x.tif";
+  plain_tiff(path, {435000, 0.5, 0, 3354000, 0, -0.5}, 0);
+  {
+    const std::unique_ptr<GDALDataset> d(GDALDataset::Open(path.c_str(), GDAL_OF_UPDATE));
+    OGRSpatialReference crs;
+    REQUIRE(crs.SetLocalCS("a drawing") == OGRERR_NONE);
+    crs.SetLinearUnits("metre", 1);
+    REQUIRE(d->SetSpatialRef(&crs) == CE_None);
+  }
+  CHECK_FALSE(read_info(path).local_crs.empty());
+  CHECK(read_geo_raster(path, UtmZone{17, true}).grid.epsg == 32617);
+  CHECK(read_geo_raster(path).grid.epsg == 0);
+}
 
 TEST_CASE("a reduced raster has the means of blocks, and of the last ones what there is") {
   const test::TempFolder folder("reduced");

@@ -700,6 +700,88 @@ TEST_CASE("pixel types, windows and the camera of a window") {
         (folder / "c.tif").string() + ": window of 3 x 1 px at (3, 0), expected one inside 5 x 3");
 }
 
+TEST_CASE("a reduced image has the image's values, whatever overviews there are") {
+  const TempFolder folder("reduced");
+  constexpr Index kSide = 400;
+  Tensor pixels({3, kSide, kSide});
+  Rng rng(5);
+  for (float& v : pixels.values()) v = std::floor(static_cast<float>(rng.uniform(1, 255)));
+  for (Index c = 0; c < 3; ++c)  // and a corner without any
+    for (Index i = 0; i < 60; ++i) std::fill_n(pixels.data() + (c * kSide + i) * kSide, 90, 0.0F);
+  Rpc camera = test::synthetic_rpc();
+  camera.samp_off = camera.line_off = kSide / 2;
+  const auto own = folder / "own.tif", beside = folder / "beside.tif", mosaic = folder / "of.vrt";
+  for (const auto& file : {own, beside}) write_rpc_geotiff(file, pixels, PixelType::uint8, camera);
+  const auto overviews = [](const std::filesystem::path& file, unsigned access) {
+    const std::unique_ptr<GDALDataset> d(GDALDataset::Open(file.c_str(), access));
+    REQUIRE(d);
+    for (int b = 1; access == GDAL_OF_UPDATE && b <= 3; ++b)
+      REQUIRE(d->GetRasterBand(b)->SetNoDataValue(0) == CE_None);
+    const std::array<int, 2> factors{2, 4};
+    REQUIRE(d->BuildOverviews("AVERAGE", 2, const_cast<int*>(factors.data()), 0, nullptr, nullptr,
+                              nullptr) == CE_None);
+  };
+  overviews(own, GDAL_OF_UPDATE);
+  overviews(beside, GDAL_OF_READONLY);
+  CHECK(std::filesystem::exists(folder / "beside.tif.ovr"));
+  {
+    const std::unique_ptr<GDALDataset> from(GDALDataset::Open(own.c_str()));
+    REQUIRE(from->GetRasterBand(1)->GetOverviewCount() == 2);
+    const std::unique_ptr<GDALDataset> made(
+        GetGDALDriverManager()->GetDriverByName("VRT")->CreateCopy(mosaic.c_str(), from.get(), 0,
+                                                                   nullptr, nullptr, nullptr));
+    REQUIRE(made);
+  }
+  for (const auto& file : {own, beside, mosaic})
+    for (const Index factor : {2, 4, 7}) {
+      CAPTURE(file.string());
+      CAPTURE(factor);
+      const Image small = open_reduced(find_view(file), factor);
+      const Index side = kSide / factor;
+      REQUIRE(small.pixels.shape() == Shape{3, side, side});
+      Index wrong = 0;
+      for (Index c = 0; c < 3; ++c)
+        for (Index i = 0; i < side * side; ++i) {
+          const Index y = i / side * factor + factor / 2, x = i % side * factor + factor / 2;
+          wrong += small.pixels[c * side * side + i] != pixels[(c * kSide + y) * kSide + x];
+          if (file != beside) wrong += (small.valid[i] > 0) != (y >= 60 || x >= 90);
+        }
+      CHECK(wrong == 0);
+    }
+  // A JPEG 2000 holds smaller images from the beginning, which are not decoded whole.
+  GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("JP2OpenJPEG");
+  if (driver == nullptr) return;
+  const auto packed = folder / "packed.jp2";
+  {
+    const std::unique_ptr<GDALDataset> from(GDALDataset::Open(beside.c_str()));
+    CPLStringList options;
+    options.AddString("QUALITY=100"), options.AddString("REVERSIBLE=YES");
+    options.AddString("RESOLUTIONS=4"), options.AddString("YCBCR420=NO");
+    const std::unique_ptr<GDALDataset> made(
+        driver->CreateCopy(packed.c_str(), from.get(), 0, options, nullptr, nullptr));
+    REQUIRE(made);
+  }
+  write_bytes(folder / "packed_RPC.TXT", as_text(camera));
+  const Image whole = open_view(packed), small = open_reduced(find_view(packed), 4);
+  CHECK(std::equal(whole.pixels.values().begin(), whole.pixels.values().end(),
+                   pixels.values().begin()));
+  REQUIRE(small.pixels.shape() == Shape{3, 100, 100});
+  const auto deviation = [](const Image& image, Index row) {  // of a part that is noise
+    double sum = 0, squares = 0;
+    const Index n = image.info.width;
+    for (Index x = n / 2; x < n; ++x) {
+      const double v = image.pixels[row * n + x];
+      sum += v, squares += v * v;
+    }
+    const auto count = static_cast<double>(n - n / 2);
+    return std::sqrt(squares / count - sum / count * sum / count);
+  };
+  CHECK(deviation(whole, 300) > 60);
+  CHECK(deviation(small, 75) < 50);
+  for (const Index i : {Index{0}, Index{5 * 100 + 10}, Index{12 * 100 + 20}})
+    CHECK(small.pixels[i] == 0);  // the filling keeps its value
+}
+
 TEST_CASE("what is no pixel: nodata, NaN, alpha") {
   const TempFolder folder("valid");
   const auto path = folder / "v.tif";

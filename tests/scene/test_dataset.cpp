@@ -8,12 +8,15 @@
 #include <array>
 #include <cmath>
 #include <fstream>
+#include <memory>
 #include <string>
 
 #include "tests/made_view.h"
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
+#include <gdal_priv.h>
 #include <nlohmann/json.hpp>
+#include <ogr_spatialref.h>
 
 using namespace satsurf;
 using namespace satsurf::test;
@@ -375,6 +378,73 @@ TEST_CASE("truth that does not fit together is refused by name") {
   CHECK(refusal() == classes_file + ": 3 bands, expected one");
   rpc::write_geo_raster(dsm_file, Tensor({2, H, W}), dsm.grid);
   CHECK(refusal() == dsm_file + ": 2 bands, expected one");
+}
+
+TEST_CASE("the truth lies in the zone that it names, whichever the images lie in") {
+  const TempFolder folder("dataset-8");
+  const SimulatedScene made = simulate_scene(small_scene(), 3, 0);
+  write_scene(made, folder.path(), "SIM_001");
+  const std::string dsm_file = (folder / "Track3-Truth/SIM_001_DSM.tif").string(),
+                    classes_file = (folder / "Track3-Truth/SIM_001_CLS.tif").string();
+  const rpc::UtmZone own = made.frame.zone, next{own.number % 60 + 1, own.north};
+  const Scene known = load_scene(folder.path(), "SIM_001");
+  REQUIRE(known.frame.zone == own);
+
+  // the same north-western corner in the next zone
+  const rpc::GeoRaster dsm = rpc::read_geo_raster(dsm_file, own);
+  const auto [lon, lat] = rpc::geodetic_from_utm(own, dsm.grid.x0, dsm.grid.y0);
+  const auto corner = rpc::utm_from_geodetic(next, lon, lat);
+  rpc::GeoGrid there = dsm.grid;
+  there.epsg = next.epsg(), there.x0 = corner[0], there.y0 = corner[1];
+  rpc::write_geo_raster(dsm_file, dsm.values, there);
+  std::filesystem::remove(classes_file);
+  const auto lies_there = [&](const Scene& scene) {
+    CHECK(scene.frame.zone == next);
+    REQUIRE(scene.truth.has_value());
+    const rpc::Geodetic p = scene.frame.geodetic_from_local({scene.truth->x0, scene.truth->y0, 0});
+    CHECK(p.lon == doctest::Approx(lon).epsilon(1e-10));
+    CHECK(p.lat == doctest::Approx(lat).epsilon(1e-10));
+    const rpc::Geodetic middle = scene.frame.geodetic_from_local({0, 0, 0});
+    for (const View& v : scene.views) CHECK(v.contains({middle.lon, middle.lat, made.frame.h0}));
+  };
+  lies_there(load_scene(folder.path(), "SIM_001"));
+  // classes that name no system lie in the truth's, others where they say
+  rpc::GeoGrid classes = there;
+  classes.epsg = 0;
+  rpc::write_geo_raster(classes_file, Tensor(dsm.values.shape(), 2.0F), classes);
+  lies_there(load_scene(folder.path(), "SIM_001"));
+  classes.epsg = own.epsg();
+  rpc::write_geo_raster(classes_file, Tensor(dsm.values.shape(), 2.0F), classes);
+  const auto refusal = [&] {
+    return error_of<IoError>([&] { load_scene(folder.path(), "SIM_001"); });
+  };
+  CHECK(refusal().find(" in EPSG:" + std::to_string(own.epsg()) + ", expected the grid of ") !=
+        std::string::npos);
+
+  for (const int epsg : {2154, 32662}) {
+    CAPTURE(epsg);
+    there.epsg = epsg;
+    if (epsg == 32662) there.x0 = lon * 111000, there.y0 = lat * 111000;  // metres, but no zone
+    rpc::write_geo_raster(dsm_file, dsm.values, there);
+    CHECK(refusal() == dsm_file + ": in EPSG:" + std::to_string(epsg) +
+                           ", expected a zone of UTM; warp it first (gdalwarp)");
+  }
+  rpc::write_geo_raster(dsm_file, dsm.values, dsm.grid);
+  {
+    CPLPushErrorHandler(CPLQuietErrorHandler);  // the file is no longer laid out for the cloud
+    const std::unique_ptr<GDALDataset> d(GDALDataset::Open(dsm_file.c_str(), GDAL_OF_UPDATE));
+    OGRSpatialReference crs;
+    REQUIRE(crs.importFromProj4("+proj=tmerc +lat_0=3 +lon_0=7 +x_0=11 +ellps=GRS80 +units=m") ==
+            OGRERR_NONE);
+    REQUIRE(d->SetSpatialRef(&crs) == CE_None);
+  }
+  CPLPopErrorHandler();
+  CHECK(refusal().starts_with(dsm_file + ": in a system without a code of EPSG, expected a zone "));
+  // a file without a system lies in the zone of the images, as the contest's do
+  there = dsm.grid, there.epsg = 0;
+  rpc::write_geo_raster(dsm_file, dsm.values, there);
+  std::filesystem::remove(classes_file);
+  CHECK(load_scene(folder.path(), "SIM_001").frame == known.frame);
 }
 
 TEST_CASE("folders that are no data sets are refused") {

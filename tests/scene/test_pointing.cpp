@@ -85,7 +85,8 @@ double mean_on_the_ground(const std::vector<View>& views, const std::vector<rpc:
   for (std::size_t i = 0; i < views.size(); ++i) {
     const rpc::Pixel p = views[i].rpc.project(at);
     const rpc::Geodetic q = views[i].rpc.localize({p.x + shifts[i].x, p.y + shifts[i].y}, height);
-    east += (q.lon - at.lon) * 111320 * std::cos(at.lat * std::numbers::pi / 180);
+    east +=
+        std::remainder(q.lon - at.lon, 360) * 111320 * std::cos(at.lat * std::numbers::pi / 180);
     north += (q.lat - at.lat) * 110574;
   }
   return std::hypot(east, north) / static_cast<double>(views.size());
@@ -244,6 +245,24 @@ TEST_CASE("adjustment of made-up tie points") {
         CHECK(found.shifts[i].y == doctest::Approx(expected.y).epsilon(1e-4));
       }
     }
+  }
+  SUBCASE("across the antimeridian as anywhere else") {
+    const double east = 180 - cameras[0].localize({32, 32}, height).lon;  // through the images
+    std::vector<rpc::Rpc> there = cameras;
+    std::vector<View> views = place.scene.views;
+    for (std::size_t i = 0; i < there.size(); ++i) {
+      there[i].lon_off = std::remainder(there[i].lon_off + east, 360);
+      views[i].rpc = there[i];
+    }
+    REQUIRE(there[0].localize({4, 32}, height).lon * there[0].localize({60, 32}, height).lon < 0);
+    const PointingAdjustment here = adjust_pointing(cameras, points, height),
+                             found = adjust_pointing(there, points, height);
+    CHECK(found.observable == here.observable);
+    for (std::size_t i = 0; i < cameras.size(); ++i) {
+      CHECK(found.shifts[i].x == doctest::Approx(here.shifts[i].x).epsilon(1e-4));
+      CHECK(found.shifts[i].y == doctest::Approx(here.shifts[i].y).epsilon(1e-4));
+    }
+    CHECK(mean_on_the_ground(views, found.shifts, height) < 0.01);
   }
   SUBCASE("without points") {
     CHECK_THROWS_WITH_AS(adjust_pointing(cameras, {}, height),

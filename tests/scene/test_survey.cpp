@@ -143,6 +143,9 @@ TEST_CASE("a terrain that the ties of large images contradict says nothing") {
     images.push_back(folder / ("view_" + std::to_string(i) + ".tif"));
     rpc::write_rpc_geotiff(images.back(), values, rpc::PixelType::uint8, camera);
   }
+  // and the first of them once more, which is no view of its own
+  images.push_back(folder / "view_2.tif");
+  std::filesystem::copy_file(images[0], images[2]);
   const double ground = made.frame.h0 + static_cast<double>(made.dsm.z[0]);
   const auto surveyed = [&](double height) {
     rpc::write_geo_raster(
@@ -155,6 +158,7 @@ TEST_CASE("a terrain that the ties of large images contradict says nothing") {
   };
   const Survey right = surveyed(ground);
   REQUIRE(right.factor == 2);
+  REQUIRE(right.user.left_out.size() == 1);
   CHECK(right.user.range.source == "from the terrain");
   CHECK(right.user.range.trouble.empty());
   REQUIRE(right.user.pointing);
@@ -166,4 +170,28 @@ TEST_CASE("a terrain that the ties of large images contradict says nothing") {
   CHECK(wrong.user.range.height_range.low < ground + 5);
   CHECK(wrong.user.pointing.has_value());
   CHECK(wrong.views.size() == 2);
+  REQUIRE(wrong.user.left_out.size() == 1);
+  CHECK(wrong.user.left_out[0].label == right.user.left_out[0].label);
+  CHECK(wrong.user.left_out[0].why == right.user.left_out[0].why);
+}
+
+TEST_CASE("an image that is named twice is looked at once") {
+  const Files files(200);
+  const std::filesystem::path &a = files.images[0], &b = files.images[1];
+  for (const std::vector<std::filesystem::path>& named :
+       {std::vector{a, a, b}, {a, b, a}, {b, a, a}}) {
+    const Survey survey =
+        survey_views(named, {}, files.range, {}, {.pointing = {.measure = false}});
+    REQUIRE(survey.user.scene.views.size() == 2);
+    REQUIRE(survey.views.size() == 2);
+    for (std::size_t i = 0; i < 2; ++i) {
+      CHECK(survey.views[i].source.file == survey.user.scene.views[i].file);
+      CHECK(survey.views[i].rpc == survey.user.scene.views[i].rpc);
+    }
+    REQUIRE(survey.user.left_out.size() == 1);
+    CHECK(survey.user.left_out[0].label == a.string());
+    CHECK(survey.user.left_out[0].why == "seen from the same direction as " + a.string());
+    CHECK(read_windows(survey, corners_of({-15, -10, 20, 15}), {-5, 10}).views ==
+          std::vector<std::size_t>{0, 1});
+  }
 }

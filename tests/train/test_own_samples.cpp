@@ -59,7 +59,8 @@ TEST_CASE("own samples train the same bits as the folder they are of") {
       train::train(config, data.folder.path(), 4, {}, keep_in(out / "folder"));
   nn::Model model(config.model, 4);
   const auto sample = [&](Index step) { return training_sample(config, data.scenes, 4, step); };
-  train_on_samples(model, config, sample, {.seed = 4, .scenes = 1}, keep_in(out / "own"));
+  train_on_samples(model, config, sample, {.seed = 4, .scenes = 1, .data = data_mark(data.scenes)},
+                   keep_in(out / "own"));
   CHECK(same(model, expected));
   CHECK(same(model, nn::load_model(out / "own" / "weights.safetensors")));
   for (const char* name : {"checkpoint.safetensors", "weights.safetensors"}) {

@@ -118,6 +118,26 @@ TEST_CASE("a run killed between its checkpoint and its weights has both once it 
   CHECK(bytes_of(weights) == of_step_four);
 }
 
+TEST_CASE("a run goes on with the scenes it was begun with alone") {
+  const TempFolder folder("trainer-data"), other("trainer-other");
+  scene::SimulateConfig c;
+  c.pixels = 96, c.views = 4;
+  scene::write_scene(scene::simulate_scene(c, 77, 0), other.path(), "SIM_001");
+  const std::vector<scene::Scene> own = training_scenes(data(), 4, {}),
+                                  others = training_scenes(other.path(), 4, {});
+  CHECK(data_mark(own) == data_mark(training_scenes(data(), 4, {})));
+  CHECK(data_mark(own) != data_mark(others));
+  train_in_folder(tiny(4), data(), folder / "run", 4, false, stop_after(2));
+  const std::string begins = (folder / "run/checkpoint.safetensors").string() + ": trained on " +
+                             data_mark(own) + ", and not on ",
+                    ends = ", expected the same --data to resume";
+  const auto refusal = [&](const std::filesystem::path& with) {
+    return error_of<ConfigError>([&] { train_in_folder(tiny(4), with, folder / "run", 4, true); });
+  };
+  CHECK(refusal(other.path()) == begins + data_mark(others) + ends);
+  CHECK(refusal({}) == begins + kMadeUp + ends);
+}
+
 TEST_CASE("a resumed run keeps the lines of the steps before, whichever are there") {
   const TempFolder folder("trainer-lines");
   const auto steps_with_four = [&](const std::string& left) {
