@@ -37,9 +37,7 @@ CameraFacts camera_of(const rpc::RasterInfo& info) {
 
 ImageFacts image_of(const fs::path& file, const std::vector<fs::path>& image_dirs) {
   ImageFacts image{file,
-                   file.extension() == ".json" || file.extension() == ".JSON"
-                       ? rpc::view_info(file, image_dirs)
-                       : rpc::read_info(file),
+                   rpc::names_json(file) ? rpc::view_info(file, image_dirs) : rpc::read_info(file),
                    {},
                    {}};
   if (image.info.rpc) image.camera = camera_of(image.info);

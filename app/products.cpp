@@ -52,6 +52,11 @@ rpc::GeoGrid geo_grid(const scene::HeightField& grid, const rpc::LocalFrame& fra
   return {frame.zone.epsg(), grid.x0 + frame.easting0, grid.y0 + frame.northing0, grid.step};
 }
 
+rpc::GeoGrid geo_grid(const reconstruct::Grid& grid, const rpc::LocalFrame& frame, Index y0) {
+  return {frame.zone.epsg(), grid.east + frame.easting0,
+          grid.north + frame.northing0 - static_cast<double>(y0) * grid.step, grid.step};
+}
+
 rpc::GeoTags signed_tags(rpc::GeoTags tags) {
   tags.software = std::string("satsurf ") + program_version();
   return tags;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/reconstruct/plan.h"
 #include "satsurf/rpc/frame.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/raycast.h"
@@ -28,6 +29,8 @@ rpc::LocalFrame frame_from_comments(const std::vector<std::string>& comments,
 
 /// Where the grid of a local field lies.
 rpc::GeoGrid geo_grid(const scene::HeightField& grid, const rpc::LocalFrame& frame);
+/// The same of the rows of a surface's grid from y0 on.
+rpc::GeoGrid geo_grid(const reconstruct::Grid& grid, const rpc::LocalFrame& frame, Index y0 = 0);
 
 /// Tags that name the program as the one that made the values.
 rpc::GeoTags signed_tags(rpc::GeoTags tags);

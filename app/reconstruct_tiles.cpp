@@ -260,11 +260,12 @@ class TileMaker {
         fmt::format("tile {} of {}", first_ + done_ + 1, first_ + all_));
   }
 
-  /// What of the tiles' cells is not asked for; empty for all asked.
-  std::function<Tensor(const reconstruct::Grid&)> outside() const {
+  /// What of the tiles' cells is asked for; empty for all.
+  std::function<Tensor(const reconstruct::Grid&)> inside() const {
     if (!wanted_.polygons) return {};
     return [this](const reconstruct::Grid& grid) {
-      return outside_of(*wanted_.polygons, grid, survey_.user.scene.frame);
+      return wanted_.polygons->cells(geo_grid(grid, survey_.user.scene.frame), grid.height,
+                                     grid.width);
     };
   }
 
@@ -280,7 +281,7 @@ class TileMaker {
     auto surface = std::make_shared<reconstruct::TileSurface>();
     try {
       *surface = reconstruct::reconstruct_tile(job_.networks.model, part, tiling_, tile, exposures_,
-                                               how, outside());
+                                               how, inside());
     } catch (const IoError&) {
       throw;
     } catch (const Error& e) {
@@ -503,9 +504,7 @@ void reconstruct_tiles(ReconstructJob& job) {
   facts.image_correlation = agreement.correlation;
   job.warnings.add(reconstruct::image_warnings(agreement, scene.views));
   if (survey.user.pointing) scene::write_pointing(folder / "pointing.json", *survey.user.pointing);
-  if (job.crs)
-    job.bring_rasters(
-        geo_grid({{}, tiling.grid.east, tiling.grid.north, tiling.grid.step}, scene.frame), facts);
+  if (job.crs) job.bring_rasters(geo_grid(tiling.grid, scene.frame), facts);
   progress.update("pictures", 0);
   job.warnings.attempt("pictures",
                        [&] { write_pictures(folder, made, small, scene, posed, progress); });

@@ -63,14 +63,13 @@ class Overview {
 
 /// Makes what lies outside of the polygons unknown.
 /// values  [n W] or [C n W], from row y0 of the grid on
-void leave_out(Tensor& values, Index y0, reconstruct::Grid grid, const rpc::LocalFrame& frame,
-               const std::optional<rpc::Area>& polygons) {
+void leave_out(Tensor& values, Index y0, const reconstruct::Grid& grid,
+               const rpc::LocalFrame& frame, const std::optional<rpc::Area>& polygons) {
   if (!polygons) return;
-  grid.north -= static_cast<double>(y0) * grid.step;
-  grid.height = values.dim(values.rank() - 2);
-  const Tensor outside = outside_of(*polygons, grid, frame);
+  const Tensor inside =
+      polygons->cells(geo_grid(grid, frame, y0), values.dim(values.rank() - 2), grid.width);
   for (Index i = 0; i < values.count(); ++i)
-    if (outside[i % outside.count()] > 0) values[i] = kNan;
+    if (!(inside[i % inside.count()] > 0)) values[i] = kNan;
 }
 
 /// How many images see the cells of a tile, then what they show there, [1 + bands h w].
@@ -88,32 +87,6 @@ Tensor planes_of(const Tensor& values, Index first, Index count) {
   std::copy_n(values.data() + first * H * W, out.count(), out.data());
   return out;
 }
-
-/// Where the rows of a grid from y0 on lie.
-rpc::GeoGrid geo_rows(const reconstruct::Grid& grid, const rpc::LocalFrame& frame, Index y0) {
-  return {frame.zone.epsg(), grid.east + frame.easting0,
-          grid.north + frame.northing0 - static_cast<double>(y0) * grid.step, grid.step};
-}
-
-}  // namespace
-
-Tensor outside_of(const rpc::Area& polygons, const reconstruct::Grid& grid,
-                  const rpc::LocalFrame& frame) {
-  Tensor out({grid.height, grid.width});
-  for (Index y = 0; y < grid.height; ++y) {
-    const std::vector<double> sides = polygons.crossings(
-        grid.north + frame.northing0 - (static_cast<double>(y) + 0.5) * grid.step);
-    std::size_t passed = 0;
-    for (Index x = 0; x < grid.width; ++x) {
-      const double east = grid.east + frame.easting0 + (static_cast<double>(x) + 0.5) * grid.step;
-      while (passed < sides.size() && sides[passed] <= east) ++passed;
-      if (passed % 2 == 0) out[y * grid.width + x] = 1;
-    }
-  }
-  return out;
-}
-
-namespace {
 
 /// An orthophoto of stored values as colours: bytes as they are, wider ones between their first and
 /// 99th percentile.
@@ -178,7 +151,7 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
   // Rasters of the surface that grow row by row.
   const auto growing = [&](const char* name, Index channels, const rpc::GeoTags& of) {
     return std::make_unique<rpc::GeoRasterRows>(folder / name, channels, grid.height, grid.width,
-                                                geo_rows(grid, frame, 0), signed_tags(of));
+                                                geo_grid(grid, frame, 0), signed_tags(of));
   };
   const auto dsm = growing("dsm.tif", 1, tags.heights),
              confidence = growing("confidence.tif", 1, tags.confidence),
@@ -220,7 +193,7 @@ TiledSurface write_tiled_surface(const fs::path& folder, const Tiling& tiling,
       out.heights = {std::min(out.heights.low, h), std::max(out.heights.high, h)};
     }
     if (datum != rpc::HeightDatum::ellipsoid)
-      rpc::refer_to_geoid(z, geo_rows(grid, frame, done_rows), datum);
+      rpc::refer_to_geoid(z, geo_grid(grid, frame, done_rows), datum);
     for (float& h : z.values()) h = static_cast<float>(static_cast<double>(h) + frame.h0);
     dsm->append(z), confidence->append(s);
     if (has_sigma) sigma->append(finished(expected));

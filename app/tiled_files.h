@@ -34,9 +34,6 @@ struct SurfaceOverview {
 /// throws   IoError
 SurfaceOverview overview_of_files(const std::filesystem::path& folder, const TiledSurface& made,
                                   double step);
-/// Says of cells, [H W], which have their middle outside of polygons, by 1.
-Tensor outside_of(const rpc::Area& polygons, const reconstruct::Grid& grid,
-                  const rpc::LocalFrame& frame);
 
 /// Writes dsm.tif, confidence.tif, height_sigma.tif, views.tif, ortho.tif and surfels.ply of finished
 /// tiles, row of tiles by row of tiles.

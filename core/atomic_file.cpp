@@ -21,6 +21,10 @@ namespace {
                 "), expected a place that can be written");
 }
 
+std::filesystem::path folder_of(const std::filesystem::path& path) {
+  return path.has_parent_path() ? path.parent_path() : ".";
+}
+
 /// Makes the names in `folder` durable. Some file systems cannot; the content is then safe all the
 /// same.
 void flush_folder(const std::filesystem::path& folder) {
@@ -28,6 +32,15 @@ void flush_folder(const std::filesystem::path& folder) {
   if (fd < 0) return;
   ::fsync(fd);
   ::close(fd);
+}
+
+/// Puts a finished file, open as `fd`, in the place of another: both its bytes and its name on the
+/// disk.
+/// returns  0, or the error's number
+int flush_and_rename(int fd, const std::filesystem::path& made, const std::filesystem::path& path) {
+  if (::fsync(fd) != 0 || ::rename(made.c_str(), path.c_str()) != 0) return errno;
+  flush_folder(folder_of(path));
+  return 0;
 }
 
 constexpr std::string_view kPartial = ".partial-";
@@ -100,7 +113,7 @@ void atomic_write(const std::filesystem::path& path, std::span<const std::string
 void atomic_write(const std::filesystem::path& path,
                   const std::function<std::string_view()>& next) {
   static std::atomic<unsigned> number{0};  // two threads may write the same file
-  const std::filesystem::path folder = path.has_parent_path() ? path.parent_path() : ".";
+  const std::filesystem::path folder = folder_of(path);
   std::error_code ec;
   std::filesystem::create_directories(folder, ec);
   if (ec) fail(path, "make its folder", ec.value());
@@ -119,14 +132,20 @@ void atomic_write(const std::filesystem::path& path,
     ::unlink(temporary.c_str());
     throw;
   }
-  if (code == 0 && ::fsync(fd) != 0) code = errno;
-  if (::close(fd) != 0 && code == 0) code = errno;
-  if (code == 0 && ::rename(temporary.c_str(), path.c_str()) != 0) code = errno;
+  if (code == 0) code = flush_and_rename(fd, temporary, path);
+  ::close(fd);  // and with it the lock, when the name is no longer one of a temporary file
   if (code != 0) {
     ::unlink(temporary.c_str());
     fail(path, "be written", code);
   }
-  flush_folder(folder);
+}
+
+void put_in_place(const std::filesystem::path& made, const std::filesystem::path& path) {
+  const int fd = ::open(made.c_str(), O_RDONLY | O_CLOEXEC);
+  if (fd < 0) fail(path, "be put in its place", errno);
+  const int code = flush_and_rename(fd, made, path);
+  ::close(fd);
+  if (code != 0) fail(path, "be put in its place", code);
 }
 
 std::vector<std::filesystem::path> remove_partial_files(const std::filesystem::path& folder,

@@ -24,6 +24,10 @@ inline void atomic_write(const std::filesystem::path& path, std::string_view byt
   atomic_write(path, std::span(&bytes, 1));
 }
 
+/// Puts a finished file in the place of another of the same file system, as `atomic_write` does.
+/// throws  IoError that names the place and the system's reason; the finished file then stays
+void put_in_place(const std::filesystem::path& made, const std::filesystem::path& path);
+
 /// Removes the temporary files of writers that were killed on the way; those of others are locked.
 /// folder   where they wrote
 /// file     name of the one file whose temporary files are meant; empty for all

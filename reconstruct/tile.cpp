@@ -38,9 +38,9 @@ Tensor part_of(const Tensor& whole, Index y0, Index x0, Index h, Index w) {
 }
 
 /// The surfels whose centres lie over what a tile answers for.
-/// outside  of its core, [h w] 1 where there are none, or empty
+/// inside  of its core, [h w] 1 where there are some, or empty for everywhere
 splat::Surfels over(const splat::Surfels& surfels, const Tiling& tiling, const Tile& tile,
-                    const Tensor& outside) {
+                    const Tensor& inside) {
   const Grid core = tiling.grid_of(tile.core);
   const auto cell = [&](double distance, Index most) {
     return std::clamp<Index>(static_cast<Index>(std::floor(distance / core.step)), 0, most - 1);
@@ -52,20 +52,20 @@ splat::Surfels over(const splat::Surfels& surfels, const Tiling& tiling, const T
     if (!tiling.owns_place(tile, x, y)) continue;
     const Index at =
         cell(core.north - y, core.height) * core.width + cell(x - core.east, core.width);
-    if (outside.empty() || !(outside[at] > 0)) keep.push_back(i);
+    if (inside.empty() || inside[at] > 0) keep.push_back(i);
   }
   return keep.empty() ? splat::Surfels{} : splat::selected(surfels, keep);
 }
 
 /// Says of the cells of a tile's core which do not count, by 1: those that others answer for, those
-/// on ground that is not wanted and those outside.
+/// on ground that is not wanted and those not inside.
 Tensor not_counted(const Tiling& tiling, const Tile& tile, const Tensor& unwanted,
-                   const Tensor& outside) {
+                   const Tensor& inside) {
   const Index w = tile.core.width();
   Tensor out({tile.core.height(), w});
   for (Index i = 0; i < out.count(); ++i)
     if (!tiling.owns(tile, tile.core.x0 + i % w, tile.core.y0 + i / w) ||
-        (!unwanted.empty() && unwanted[i] > 0) || (!outside.empty() && outside[i] > 0))
+        (!unwanted.empty() && unwanted[i] > 0) || (!inside.empty() && !(inside[i] > 0)))
       out[i] = 1;
   return out;
 }
@@ -82,7 +82,7 @@ struct Windows {
 Windows windows_for(const scene::Scene& scene, const scene::Polygon& ground, double margin,
                     Index most, Index multiple) {
   constexpr Index kUnlimited = 1 << 20;  // px
-  constexpr Index kMostParts = 4;        // beyond, the middle of the ground has to do
+  constexpr Index kMostParts = 4;        // within, the middle of the ground has to do
   const Ground box = scene::bounds_of(ground);
   Windows out;
   for (Index parts = 1; parts <= kMostParts; ++parts)
@@ -118,14 +118,14 @@ Windows windows_for(const scene::Scene& scene, const scene::Polygon& ground, dou
 TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene& part,
                              const Tiling& tiling, const Tile& tile, const Exposures& exposures,
                              const ReconstructOptions& options,
-                             const std::function<Tensor(const Grid&)>& outside) {
+                             const std::function<Tensor(const Grid&)>& inside) {
   TileSurface out;
   const Grid grid = tiling.grid_of(tile.all), core = tiling.grid_of(tile.core);
   const scene::Polygon ground = tiling.ground_of(tile);
   if (part.scene.views.size() < 2 || !shown_by_two(part.scene, ground)) return out;
   const auto asked = [&](const auto& which) { return which ? which(core) : Tensor(); };
-  const Tensor beyond = asked(outside),
-               uncounted = not_counted(tiling, tile, asked(options.unwanted), beyond);
+  const Tensor within = asked(inside),
+               uncounted = not_counted(tiling, tile, asked(options.unwanted), within);
   if (std::ranges::all_of(uncounted.values(), [](float v) { return v > 0; })) return out;
   const NoGrad no_grad;
   scene::Scene scene = part.scene;
@@ -154,7 +154,7 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
       count_cells({part_of(made.dsm.z, y0, x0, h, w), core.east, core.north, core.step},
                   made.images, scene.z_range.middle(), uncounted);
   out.found = cells.found, out.expected = cells.expected;
-  out.surfels = over(delivered_surfels(made), tiling, tile, beyond);
+  out.surfels = over(delivered_surfels(made), tiling, tile, within);
   out.views = std::move(seen.views);
   out.heights = std::move(made.dsm.z);
   out.confidence = std::move(made.confidence);

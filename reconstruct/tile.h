@@ -16,10 +16,10 @@ struct TileSurface {
   Tensor sigma;              ///< alike; empty unless the surface is refined
   Tensor views;              ///< alike: how many images see the cell
   Tensor ortho;              ///< [C h w] alike, as `orthophoto`; empty where nothing is seen
-  splat::Surfels surfels;    ///< those over its core and not outside; without tensors for none
+  splat::Surfels surfels;    ///< those over its core and inside; without tensors for none
   rpc::HeightRange z_range;  ///< that was searched, local m
   scene::WindowSize window;  ///< what the network saw of each view, px
-  Index found = 0;           ///< cells of the core, not outside, with a height
+  Index found = 0;           ///< cells of the core, and inside, with a height
   Index expected = 0;        ///< and those two views show
   double camera_fit_max_px = 0;
 };
@@ -28,12 +28,12 @@ struct TileSurface {
 /// part       of the scene that shows it
 /// exposures  of all images of the survey
 /// options    of the whole; grid, window and range are the tile's
-/// outside    says of cells, [H W], which lie outside of what is asked for, by 1. They are made all the
-///            same, for they may hide others, but are not counted and have no surfels. May be empty
+/// inside     says of cells, [H W], which lie in what is asked for, by 1. The others are made all the
+///            same, for they may hide these, but are not counted and have no surfels. Empty for all
 /// throws     as `reconstruct`
 TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene& part,
                              const Tiling& tiling, const Tile& tile, const Exposures& exposures,
                              const ReconstructOptions& options,
-                             const std::function<Tensor(const Grid&)>& outside = {});
+                             const std::function<Tensor(const Grid&)>& inside = {});
 
 }  // namespace satsurf::reconstruct

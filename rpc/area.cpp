@@ -253,6 +253,21 @@ bool Area::contains(double easting, double northing) const {
   return (std::upper_bound(sides.begin(), sides.end(), easting) - sides.begin()) % 2 != 0;
 }
 
+Tensor Area::cells(const GeoGrid& grid, Index height, Index width) const {
+  Tensor out({height, width});
+  for (Index y = 0; y < height; ++y) {
+    const std::vector<double> sides =
+        crossings(grid.y0 - (static_cast<double>(y) + 0.5) * grid.step);
+    std::size_t passed = 0;
+    for (Index x = 0; x < width && !sides.empty(); ++x) {
+      const double east = grid.x0 + (static_cast<double>(x) + 0.5) * grid.step;
+      while (passed < sides.size() && sides[passed] <= east) ++passed;
+      out[y * width + x] = passed % 2 != 0 ? 1.0F : 0.0F;
+    }
+  }
+  return out;
+}
+
 std::array<double, 4> Area::bounds() const {
   constexpr double kFar = std::numeric_limits<double>::infinity();
   std::array<double, 4> out{kFar, kFar, -kFar, -kFar};

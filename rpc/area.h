@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "satsurf/core/tensor.h"
 #include "satsurf/rpc/frame.h"
+#include "satsurf/rpc/raster.h"
 
 #include <array>
 #include <filesystem>
@@ -18,6 +20,8 @@ struct Area {
   /// Where a parallel of the grid enters and leaves it, from west to east.
   std::vector<double> crossings(double northing) const;
   bool contains(double easting, double northing) const;
+  /// [height width] 1 for the cells of a grid in its zone which have their middle in it, 0 for others.
+  Tensor cells(const GeoGrid& grid, Index height, Index width) const;
   /// Least easting and northing, then the largest.
   std::array<double, 4> bounds() const;
 };

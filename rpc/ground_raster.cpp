@@ -163,28 +163,17 @@ Tensor GroundMask::on(const GeoGrid& grid, Index height, Index width) const {
   if (!zone)
     throw Error("GroundMask::on: a grid in EPSG:" + std::to_string(grid.epsg) +
                 ", expected a zone of UTM (EPSG:326xx or 327xx)");
-  Tensor out({height, width});
   if (!polygons_) {
     const GdalScope scope;
     const Placed at = open_placed(path_, *zone);
-    const Tensor values = first_band_on(*at.raster, at.crs, grid, height, width, Sampled::nearest);
-    for (Index i = 0; i < out.count(); ++i) out[i] = covers(values[i]) ? 1.0F : 0.0F;
+    Tensor out = first_band_on(*at.raster, at.crs, grid, height, width, Sampled::nearest);
+    for (float& v : out.values()) v = covers(v) ? 1.0F : 0.0F;
     return out;
   }
   const std::lock_guard lock(polygons_->mutex);
   if (!polygons_->area || polygons_->zone != *zone)
     polygons_->area = read_area(path_, *zone), polygons_->zone = *zone;
-  for (Index y = 0; y < height; ++y) {
-    const std::vector<double> sides =
-        polygons_->area->crossings(grid.y0 - (static_cast<double>(y) + 0.5) * grid.step);
-    std::size_t passed = 0;
-    for (Index x = 0; x < width && !sides.empty(); ++x) {
-      const double east = grid.x0 + (static_cast<double>(x) + 0.5) * grid.step;
-      while (passed < sides.size() && sides[passed] <= east) ++passed;
-      out[y * width + x] = passed % 2 != 0 ? 1.0F : 0.0F;
-    }
-  }
-  return out;
+  return polygons_->area->cells(grid, height, width);
 }
 
 Terrain::Terrain(const fs::path& path) : path_(path) {

@@ -18,7 +18,6 @@
 #include <cpl_vsi.h>
 #include <fcntl.h>
 #include <ogr_spatialref.h>
-#include <unistd.h>
 
 namespace satsurf::rpc {
 namespace {
@@ -191,29 +190,6 @@ std::vector<float> stored_plane(const Tensor& values, Index plane, Index count,
   std::transform(from, from + count, out.begin(),
                  [&](float v) { return stored(v, tags.type, tags.nodata); });
   return out;
-}
-
-/// Puts a finished file in the place of another and both its bytes and its name on the disk, as
-/// `atomic_write` does.
-/// throws  IoError
-void put_in_place(const fs::path& made, const fs::path& path) {
-  const auto check = [&](bool done) {
-    if (!done)
-      throw IoError(path.string() + ": cannot be put in its place (" + std::strerror(errno) + ")");
-  };
-  const int file = ::open(made.c_str(), O_RDONLY | O_CLOEXEC);
-  check(file >= 0);
-  const bool flushed = ::fsync(file) == 0;
-  const int error = errno;
-  ::close(file);
-  errno = error;
-  check(flushed);
-  check(std::rename(made.c_str(), path.c_str()) == 0);
-  const fs::path folder = path.has_parent_path() ? path.parent_path() : ".";
-  const int names = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  if (names < 0) return;  // some file systems cannot; the bytes are safe all the same
-  ::fsync(names);
-  ::close(names);
 }
 
 /// How a cloud-optimised GeoTIFF is made.

@@ -286,9 +286,12 @@ Image read_image(const fs::path& path, const std::optional<PixelWindow>& window)
   return read_pixels(path, *d, std::move(info), part);
 }
 
+bool names_json(const fs::path& path) {
+  return path.extension() == ".json" || path.extension() == ".JSON";
+}
+
 ViewSource find_view(const fs::path& path, const std::vector<fs::path>& image_dirs) {
-  const std::string extension = path.extension().string();
-  if (extension != ".json" && extension != ".JSON") return {path, path, {}};
+  if (!names_json(path)) return {path, path, {}};
   SatNerfJson json = read_satnerf_json(path);
   std::vector<fs::path> folders{path.parent_path()};
   folders.insert(folders.end(), image_dirs.begin(), image_dirs.end());

@@ -119,6 +119,9 @@ struct SatNerfJson {
 /// throws  IoError naming the file and the key
 SatNerfJson read_satnerf_json(const std::filesystem::path& path);
 
+/// Whether a file's name says that it is such a JSON; its content may be anything.
+bool names_json(const std::filesystem::path& path);
+
 /// An image with its camera, found but not opened: a raster, or a Sat-NeRF JSON whose camera then
 /// replaces that of the raster it names.
 struct ViewSource {

@@ -352,3 +352,23 @@ TEST_CASE("atomic_write: replaces whole files and leaves nothing else") {
         }).starts_with(below + ": cannot make its folder"));
   CHECK(std::distance(std::filesystem::directory_iterator(folder.path()), {}) == 1);
 }
+
+TEST_CASE("put_in_place: a finished file takes another's place, or both stay") {
+  const test::TempFolder folder("place");
+  const auto path = folder / "x.txt", made = folder / "x.txt.part";
+  atomic_write(path, "old");
+  CHECK(error_of<IoError>([&] { put_in_place(made, path); }) ==
+        path.string() +
+            ": cannot be put in its place (No such file or directory), expected a "
+            "place that can be written");
+  CHECK(read_bytes(path) == "old");
+  atomic_write(made, "new");
+  const auto below = path / "y";
+  CHECK(error_of<IoError>([&] {
+          put_in_place(made, below);
+        }).starts_with(below.string() + ": cannot be put in its place"));
+  CHECK(read_bytes(made) == "new");
+  put_in_place(made, path);
+  CHECK(read_bytes(path) == "new");
+  CHECK_FALSE(std::filesystem::exists(made));
+}

@@ -457,20 +457,37 @@ TEST_CASE("every tile has the best of the images that see it") {
   CHECK(scene::views_of(survey, ground, survey.user.scene.z_range).size() == 4);
 }
 
-TEST_CASE("a tile whose heights take more than a window has several of them") {
-  const Files files(240, 2);
-  const scene::Survey survey = files.survey();
-  const nn::Model model(nn::model_preset("tiny"), 3);
+namespace {
+
+/// The one tile of two views that are small enough for it, and a network of weights by chance.
+struct OneTile {
+  Files files;
+  scene::Survey survey;
+  nn::Model model{nn::model_preset("tiny"), 3};
   ReconstructOptions options;
-  options.surface = Surface::plain, options.narrow = false;
-  Tiling tiling = plan_tiles(model.config(), survey, options, {});
-  REQUIRE(tiling.tiles.size() == 1);
+  Tiling tiling;
+  Tile tile;
+  scene::WindowedScene part;
+
+  explicit OneTile(Index pixels) : files(pixels, 2), survey(files.survey()) {
+    options.surface = Surface::plain, options.narrow = false;
+    tiling = plan_tiles(model.config(), survey, options, {});
+    REQUIRE(tiling.tiles.size() == 1);
+    tile = tiling.tiles[0];
+    part = scene::read_windows(survey, tiling.ground_of(tile), survey.user.scene.z_range);
+  }
+  TileSurface made(const std::function<Tensor(const Grid&)>& inside = {}) const {
+    return reconstruct_tile(model, part, tiling, tile, {}, options, inside);
+  }
+};
+
+}  // namespace
+
+TEST_CASE("a tile whose heights take more than a window has several of them") {
+  OneTile one(240);
   const auto made_with = [&](Index window) {
-    tiling.window = window;
-    const Tile& tile = tiling.tiles[0];
-    const scene::WindowedScene part =
-        scene::read_windows(survey, tiling.ground_of(tile), survey.user.scene.z_range);
-    return reconstruct_tile(model, part, tiling, tile, {}, options);
+    one.tiling.window = window;
+    return one.made();
   };
   const TileSurface whole = made_with(1280), parts = made_with(200);
   CHECK(whole.window.height > 200);
@@ -496,26 +513,16 @@ TEST_CASE("a tile whose heights take more than a window has several of them") {
 }
 
 TEST_CASE("outside of what is asked for a tile has no surfels and no cells that count") {
-  const Files files(160, 2);
-  const scene::Survey survey = files.survey();
-  const nn::Model model(nn::model_preset("tiny"), 3);
-  ReconstructOptions options;
-  options.surface = Surface::plain, options.narrow = false;
-  const Tiling tiling = plan_tiles(model.config(), survey, options, {});
-  REQUIRE(tiling.tiles.size() == 1);
-  const Tile& tile = tiling.tiles[0];
-  const scene::WindowedScene part =
-      scene::read_windows(survey, tiling.ground_of(tile), survey.user.scene.z_range);
-  const Grid core = tiling.grid_of(tile.core);
+  const OneTile one(160);
+  const Grid core = one.tiling.grid_of(one.tile.core);
   const Index column = core.width / 3;  // from here on nothing is asked for
-  const auto outside = [&](const Grid& grid) {
+  const auto inside = [&](const Grid& grid) {
     REQUIRE(grid.width == core.width);
     Tensor out({grid.height, grid.width});
-    for (Index i = 0; i < out.count(); ++i) out[i] = i % grid.width >= column ? 1 : 0;
+    for (Index i = 0; i < out.count(); ++i) out[i] = i % grid.width < column ? 1 : 0;
     return out;
   };
-  const TileSurface whole = reconstruct_tile(model, part, tiling, tile, {}, options),
-                    some = reconstruct_tile(model, part, tiling, tile, {}, options, outside);
+  const TileSurface whole = one.made(), some = one.made(inside);
   CHECK(some.expected > 0);
   CHECK(some.expected < whole.expected / 2);
   CHECK(some.found <= some.expected);
@@ -532,9 +539,7 @@ TEST_CASE("outside of what is asked for a tile has no surfels and no cells that 
   CHECK(west(some) > 0);
   CHECK(west(some) == west(whole));
   CHECK(west(some) == some.surfels.means.dim(0));
-  CHECK(reconstruct_tile(model, part, tiling, tile, {}, options, [](const Grid& grid) {
-          return Tensor({grid.height, grid.width}, 1.f);
-        }).empty);
+  CHECK(one.made([](const Grid& grid) { return Tensor({grid.height, grid.width}); }).empty);
 }
 
 TEST_CASE("only the ground that is wanted is made, on the cells of the whole") {

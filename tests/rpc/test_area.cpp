@@ -51,6 +51,16 @@ TEST_CASE("polygons are read in whatever system the file names, holes and all") 
   CHECK(area.crossings(3350050).size() == 4);
   CHECK(area.crossings(3350200).empty());
 
+  const GeoGrid grid{kZone.epsg(), 499985, 3350112, 7};
+  const Tensor cells = area.cells(grid, 18, 19);
+  for (Index i = 0; i < cells.count(); ++i) {
+    CAPTURE(i);
+    const double x = grid.x0 + (static_cast<double>(i % 19) + 0.5) * grid.step,
+                 y = grid.y0 - (static_cast<double>(i / 19) + 0.5) * grid.step;
+    CHECK(cells[i] == (area.contains(x, y) ? 1 : 0));
+  }
+  CHECK(std::ranges::count(cells.values(), 1.0F) > 0);
+
   const auto [lon, lat] = geodetic_from_utm(kZone, 500050, 3350050);
   const auto at = [](double v) { return std::to_string(v); };
   const double d = 0.001;
