@@ -133,7 +133,8 @@ void atomic_write(const std::filesystem::path& path,
     throw;
   }
   if (code == 0) code = flush_and_rename(fd, temporary, path);
-  ::close(fd);  // and with it the lock, when the name is no longer one of a temporary file
+  // The lock ends with it, when the name is no longer one of a temporary file.
+  if (::close(fd) != 0 && code == 0) code = errno;
   if (code != 0) {
     ::unlink(temporary.c_str());
     fail(path, "be written", code);

@@ -58,7 +58,7 @@ splat::Surfels over(const splat::Surfels& surfels, const Tiling& tiling, const T
 }
 
 /// Says of the cells of a tile's core which do not count, by 1: those that others answer for, those
-/// on ground that is not wanted and those not inside.
+/// on ground that is not wanted and those outside of what is asked for.
 Tensor not_counted(const Tiling& tiling, const Tile& tile, const Tensor& unwanted,
                    const Tensor& inside) {
   const Index w = tile.core.width();
