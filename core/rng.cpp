@@ -20,6 +20,15 @@ std::array<std::uint32_t, 4> philox(std::array<std::uint32_t, 4> c, std::uint32_
   return c;
 }
 
+/// A draw as a T, which may round it out of [low, high): then the number beside that, inside.
+template <class T>
+T inside(double draw, double low, double high) {
+  const T v = static_cast<T>(draw);
+  if (static_cast<double>(v) < low) return std::nextafter(v, static_cast<T>(high));
+  if (static_cast<double>(v) >= high) return std::nextafter(v, static_cast<T>(low));
+  return v;
+}
+
 }  // namespace
 
 std::uint64_t Rng::next_u64() {
@@ -60,7 +69,7 @@ BasicTensor<T> normal_tensor(const Shape& shape, Rng& rng) {
 template <class T>
 BasicTensor<T> uniform_tensor(const Shape& shape, Rng& rng, double low, double high) {
   auto t = BasicTensor<T>::uninitialised(shape);
-  for (T& v : t.values()) v = static_cast<T>(rng.uniform(low, high));
+  for (T& v : t.values()) v = inside<T>(rng.uniform(low, high), low, high);
   return t;
 }
 

@@ -91,8 +91,9 @@ Mesh simplified(const Mesh& mesh, Index most) {
   double extent = 0;
   for (std::size_t c = 0; c < 3; ++c)
     extent = std::max(extent, static_cast<double>(high[c]) - static_cast<double>(low[c]));
-  // with one cube nothing is left, so a side that is coarse enough lies between
-  double coarse = 1.001 * extent, fine = extent / 0x1ffffe;
+  // with one cube nothing is left, so a side that is coarse enough lies between; vertices that all
+  // lie in one place are in one cube of any side
+  double coarse = extent > 0 ? 1.001 * extent : 1, fine = extent > 0 ? extent / 0x1ffffe : coarse;
   std::uint32_t count = 0;
   const auto allowed = [&](double side) {
     return static_cast<Index>(faces_between(mesh, cubes_of(mesh, low, side, count)).size()) <= most;

@@ -13,6 +13,12 @@ TEST_CASE("error: the text is one line, whatever a file holds") {
   CHECK(std::string(IoError("key 'a\nb\r\t\x1b[2J\x7f'").what()) ==
         "key 'a\\nb\\r\\t\\x1b[2J\\x7f'");
   CHECK(std::string(ConfigError(std::string("a\0b", 3)).what()) == "a\\x00b");
+  // U+009B begins a sequence as ESC [ does; what lies beside the controls U+0080 to U+009F stays
+  CHECK(std::string(IoError("k\xC2\x9B"
+                            "2J")
+                        .what()) == "k\\x9b2J");
+  CHECK(std::string(Error("\xC2\x80\xC2\x9F\xC2\xA0\xC2\xA9\xC3\x9B\xC2").what()) ==
+        "\\x80\\x9f\xC2\xA0\xC2\xA9\xC3\x9B\xC2");
 }
 
 TEST_CASE("error: of a long text beginning and hint are left, in whole characters") {

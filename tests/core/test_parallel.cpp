@@ -2,7 +2,9 @@
 #include "satsurf/core/parallel.h"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
+#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <stdexcept>
@@ -66,6 +68,25 @@ TEST_CASE("parallel: sums have the same bits for any number of threads") {
   });
   CHECK(ordered_reduce(Index{0}, 4, 2.5F, part) == 2.5F);
   CHECK(ordered_reduce(Index{-9}, 4, 2.5F, part) == 2.5F);
+}
+
+TEST_CASE("parallel: two pieces run at the same time, each on a thread of its own") {
+  set_threads(2);
+  if (threads() < 2) {
+    MESSAGE("skipped: there is one core");
+    return set_threads(0);
+  }
+  std::array<std::thread::id, 2> ran;
+  std::atomic<int> there = 0;
+  for_each_index(2, [&](Index i) {
+    ran[static_cast<std::size_t>(i)] = std::this_thread::get_id();
+    ++there;
+    // a piece that were done before the other begins would show nothing
+    const auto enough = std::chrono::steady_clock::now() + std::chrono::seconds(5);
+    while (there < 2 && std::chrono::steady_clock::now() < enough) std::this_thread::yield();
+  });
+  set_threads(0);
+  CHECK(ran[0] != ran[1]);
 }
 
 TEST_CASE("parallel: loops nest") {

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/error.h"
+#include "satsurf/core/hash.h"
 #include "satsurf/core/rng.h"
 
+#include <algorithm>
 #include <cmath>
 #include <set>
 #include <vector>
@@ -76,14 +78,30 @@ TEST_CASE("rng: moments") {
   for (const int c : counts) CHECK(std::abs(c - kDraws / 7.0) < 5 * std::sqrt(kDraws * 6.0 / 49));
 }
 
+TEST_CASE("rng: names that have a stream of their own are hashed as published") {
+  // the vectors of FNV's authors for 64 bits, and one by the definition: a byte is never negative
+  CHECK(fnv1a("") == 0xcbf29ce484222325U);
+  CHECK(fnv1a("a") == 0xaf63dc4c8601ec8cU);
+  CHECK(fnv1a("foobar") == 0x85944171f73967e8U);
+  CHECK(fnv1a("\xff") == 0xaf64724c8602eb6eU);
+}
+
 TEST_CASE("rng: tensors are filled in order, uniform draws keep to their interval") {
   Rng a(5), b(5);
   const auto t = normal_tensor<double>({3, 2}, a);
   for (Index i = 0; i < 6; ++i) CHECK(t[i] == b.normal());
   const auto f = uniform_tensor<float>({1000}, a, -2, 3);
-  for (const float v : f.values()) {
-    CHECK(v >= -2);
-    CHECK(v <= 3);
+  const auto [low, high] = std::ranges::minmax(f.values());
+  CHECK(low >= -2);
+  CHECK(low < -1.95F);
+  CHECK(high < 3);
+  CHECK(high > 2.95F);
+  // a draw of 1 - 4.5e-9, which is 1 as a float
+  for (const double end : {1.0, 3.0}) {
+    Rng near(0);
+    near.set_counter(38'471'471);
+    CHECK(uniform_tensor<float>({1}, near, -end, end)[0] ==
+          std::nextafter(static_cast<float>(end), 0.F));
   }
   CHECK_THROWS_WITH_AS(a.below(0), "Rng::below: n = 0, expected at least 1", Error);
 }

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/error.h"
+#include "satsurf/mesh/geometry.h"
 #include "satsurf/mesh/glb.h"
 #include "satsurf/mesh/ply.h"
 #include "satsurf/mesh/simplify.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
@@ -11,6 +13,7 @@
 #include <filesystem>
 #include <limits>
 #include <string>
+#include <tuple>
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
@@ -41,15 +44,31 @@ Tensor hill(Index H, Index W) {
   return z;
 }
 
+/// Every number of a picture another one, evenly from 0 up to 1.
+Tensor ramp(const Shape& shape) {
+  Tensor out(shape);
+  for (Index i = 0; i < out.count(); ++i)
+    out[i] = static_cast<float>(i) / static_cast<float>(out.count());
+  return out;
+}
+
 }  // namespace
 
 TEST_CASE("mesh_from_heights: triangles look up, holes stay holes") {
   Tensor z({3, 3}, 4.F);
-  const Mesh whole = mesh_from_heights(z, 10, 20, 2, Tensor({3, 3, 3}, 0.25F));
+  const Tensor colour = ramp({3, 3, 3});
+  const Mesh whole = mesh_from_heights(z, 10, 20, 2, colour);
   CHECK(whole.vertices.size() == 9);
   CHECK(whole.faces.size() == 8);
   CHECK(whole.vertices[0] == std::array<float, 3>{11, 19, 4});
-  CHECK(whole.colours[4] == std::array<float, 3>{0.25F, 0.25F, 0.25F});
+  REQUIRE(whole.colours.size() == 9);
+  for (std::size_t v = 0; v < 9; ++v) {  // in the order of the faces
+    const Index cell = 3 * static_cast<Index>((19 - whole.vertices[v][1]) / 2) +
+                       static_cast<Index>((whole.vertices[v][0] - 11) / 2);
+    CHECK(whole.colours[v] ==
+          std::array<float, 3>{colour[cell], colour[9 + cell], colour[18 + cell]});
+  }
+  CHECK(whole.colours[1] != whole.colours[4]);
   for (const auto& n : whole.normals) CHECK(n == std::array<float, 3>{0, 0, 1});
   z[4] = kNan;
   CHECK(mesh_from_heights(z, 0, 0, 1, {}).faces.size() == 2);  // the two corners off the diagonals
@@ -60,7 +79,7 @@ TEST_CASE("mesh_from_heights: triangles look up, holes stay holes") {
 
 TEST_CASE("write_glb: y up, linear colours, and what the format demands") {
   const test::TempFolder folder("glb");
-  Mesh mesh = mesh_from_heights(hill(4, 5), 0, 0, 2, Tensor({3, 4, 5}, 0.5F));
+  Mesh mesh = mesh_from_heights(hill(4, 5), 0, 0, 2, ramp({3, 4, 5}));
   write_glb(folder / "hill.glb", mesh, {{"crs", "EPSG:32617"}});
   const std::string bytes = test::read_bytes(folder / "hill.glb");
   CHECK(bytes.substr(0, 4) == "glTF");
@@ -86,7 +105,18 @@ TEST_CASE("write_glb: y up, linear colours, and what the format demands") {
     CHECK(at<float>(bytes, positions + 12 * i + 8) == -mesh.vertices[i][1]);
   }
   CHECK(json["accessors"][0]["max"][2] == 7.0);  // southernmost row: y = -7
-  CHECK(at<std::uint16_t>(bytes, begin(attributes["COLOR_0"])) == 14027);  // 0.214041 of 65535
+  // cell 1 has the colours 1/60, 21/60 and 41/60, cell 10 has 10/60, 30/60 and 50/60
+  using Colour = std::array<std::uint16_t, 4>;
+  for (const auto& [cell, x, y, linear] :
+       {std::tuple{1, 3.F, -1.F, Colour{85, 6585, 27827, 65535}},
+        std::tuple{10, 1.F, -5.F, Colour{1550, 14027, 43376, 65535}}}) {
+    CAPTURE(cell);
+    const auto vertex =
+        std::ranges::find_if(mesh.vertices, [&](const auto& p) { return p[0] == x && p[1] == y; });
+    REQUIRE(vertex != mesh.vertices.end());
+    const auto number = static_cast<std::size_t>(vertex - mesh.vertices.begin());
+    CHECK(at<Colour>(bytes, begin(attributes["COLOR_0"]) + 8 * number) == linear);
+  }
   CHECK(json["accessors"][3]["count"] == 3 * mesh.faces.size());
   mesh.faces[0][1] = 99;
   CHECK(error_of<IoError>([&] {
@@ -130,18 +160,35 @@ TEST_CASE("a mesh that is being written can be given up, and leaves nothing") {
 }
 
 TEST_CASE("simplified: as many faces as are allowed, near the surface") {
-  const Mesh fine = mesh_from_heights(hill(60, 60), 0, 0, 2, Tensor({3, 60, 60}, 0.5F));
+  const Mesh fine = mesh_from_heights(hill(60, 60), 0, 0, 2, ramp({3, 60, 60}));
   const Mesh coarse = simplified(fine, 1000);
   CHECK(coarse.faces.size() <= 1000);
   CHECK(coarse.faces.size() > 400);
   CHECK(coarse.normals.size() == coarse.vertices.size());
   CHECK(coarse.colours.size() == coarse.vertices.size());
-  for (const auto& v : coarse.vertices) {
+  for (std::size_t n = 0; n < coarse.vertices.size(); ++n) {
+    const auto& v = coarse.vertices[n];
     const double i = (-static_cast<double>(v[1]) - 1) / 2, j = (static_cast<double>(v[0]) - 1) / 2;
     CHECK(std::abs(5 * std::sin(0.3 * i) + 0.1 * j - static_cast<double>(v[2])) < 1.5);
+    // the ramp is linear: means of places have the means of its colours
+    for (std::size_t c = 0; c < 3; ++c)
+      CHECK(static_cast<double>(coarse.colours[n][c]) ==
+            doctest::Approx((static_cast<double>(c) * 3600 + 60 * i + j) / 10800).epsilon(1e-4));
   }
-  for (const auto& face : coarse.faces)
-    for (const std::uint32_t v : face) CHECK(v < coarse.vertices.size());
+  Index down = 0;  // seen from above, a surface of heights shows nothing but upper sides
+  for (const auto& face : coarse.faces) {
+    for (const std::uint32_t v : face) REQUIRE(v < coarse.vertices.size());
+    if (doubled_area(corners(coarse, face))[2] < 0) ++down;
+  }
+  CHECK(down <= static_cast<Index>(coarse.faces.size()) / 100);
   CHECK(simplified(fine, 1'000'000).faces == fine.faces);
   CHECK_THROWS_AS(simplified(fine, 0), Error);
+}
+
+TEST_CASE("simplified: of faces on one point none is left") {
+  Mesh point;
+  point.vertices.assign(9, {3, 4, 5});
+  point.faces = {{0, 1, 2}, {3, 4, 5}, {6, 7, 8}};
+  CHECK(simplified(point, 1).faces.empty());
+  CHECK(simplified(point, 3).faces == point.faces);
 }
