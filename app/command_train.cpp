@@ -185,9 +185,11 @@ void run_train(const TrainOptions& options) {
                      options.resume ? folder.checkpoint() : fs::path(), callbacks);
       },
       config);
-  record.results() = {
-      {"step", last.step}, {"steps", settings.steps}, {watched.name(), watched.mean()}};
-  record.save(options.out / "run.json");
+  if (last.step > 0) {  // else the record of the steps that were done before stays
+    record.results() = {
+        {"step", last.step}, {"steps", settings.steps}, {watched.name(), watched.mean()}};
+    record.save(options.out / "run.json");
+  }
   if (interrupted() && last.step < settings.steps) throw Interrupted{};
   std::printf("%td steps done; weights in %s\n", settings.steps,
               (options.out / "weights.safetensors").c_str());

@@ -285,10 +285,11 @@ class TileMaker {
     } catch (const IoError&) {
       throw;
     } catch (const Error& e) {
-      // It is not put down, so that --resume tries it again.
+      // It is not put down, so that --resume --overwrite tries it again.
       job_.warnings.add(reconstruct::Warning{
           "tile_failed", fmt::format("tile {} {}: {}", tile.row, tile.column, e.what())});
       record.status = "failed", record.error = e.what();
+      record.expected = reconstruct::cells_to_find(part, tiling_, tile, how, inside());
       record.seconds = seconds_since(start);
       return record;
     }
@@ -528,7 +529,7 @@ void reconstruct_tiles(ReconstructJob& job) {
     });
   job.record.save(folder / "run.json");
   folder.commit();
-  // What has failed is tried again by --resume.
+  // What has failed is tried again by --resume --overwrite.
   if (std::ranges::none_of(records, [](const TileRecord& r) { return r.status == "failed"; }))
     store->remove();
   print_summary(facts, scene, job.record.seconds(), options.out);

@@ -70,6 +70,12 @@ Tensor not_counted(const Tiling& tiling, const Tile& tile, const Tensor& unwante
   return out;
 }
 
+/// What `which` says of the cells of a tile's core; empty where it says nothing.
+Tensor of_core(const Tiling& tiling, const Tile& tile,
+               const std::function<Tensor(const Grid&)>& which) {
+  return which ? which(tiling.grid_of(tile.core)) : Tensor();
+}
+
 /// The windows in which views show some ground at all heights of the scene's range.
 struct Windows {
   scene::WindowSize size;
@@ -115,6 +121,22 @@ Windows windows_for(const scene::Scene& scene, const scene::Polygon& ground, dou
 
 }  // namespace
 
+Index cells_to_find(const scene::WindowedScene& part, const Tiling& tiling, const Tile& tile,
+                    const ReconstructOptions& options,
+                    const std::function<Tensor(const Grid&)>& inside) {
+  const Grid core = tiling.grid_of(tile.core);
+  const Tensor uncounted = not_counted(tiling, tile, of_core(tiling, tile, options.unwanted),
+                                       of_core(tiling, tile, inside));
+  Index cells = 0;
+  for (Index i = 0; i < uncounted.count(); ++i) {
+    if (uncounted[i] > 0) continue;
+    const double x = core.east + (static_cast<double>(i % core.width) + 0.5) * core.step,
+                 y = core.north - (static_cast<double>(i / core.width) + 0.5) * core.step;
+    cells += views_showing(part.scene, {x, y, part.scene.z_range.middle()}) >= 2 ? 1 : 0;
+  }
+  return cells;
+}
+
 TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene& part,
                              const Tiling& tiling, const Tile& tile, const Exposures& exposures,
                              const ReconstructOptions& options,
@@ -123,9 +145,9 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
   const Grid grid = tiling.grid_of(tile.all), core = tiling.grid_of(tile.core);
   const scene::Polygon ground = tiling.ground_of(tile);
   if (part.scene.views.size() < 2 || !shown_by_two(part.scene, ground)) return out;
-  const auto asked = [&](const auto& which) { return which ? which(core) : Tensor(); };
-  const Tensor within = asked(inside),
-               uncounted = not_counted(tiling, tile, asked(options.unwanted), within);
+  const Tensor within = of_core(tiling, tile, inside),
+               uncounted =
+                   not_counted(tiling, tile, of_core(tiling, tile, options.unwanted), within);
   if (std::ranges::all_of(uncounted.values(), [](float v) { return v > 0; })) return out;
   const NoGrad no_grad;
   scene::Scene scene = part.scene;

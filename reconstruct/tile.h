@@ -24,6 +24,13 @@ struct TileSurface {
   double camera_fit_max_px = 0;
 };
 
+/// How many cells of a tile's core two of its views or more show in the middle of the heights, of those
+/// inside and on ground that is wanted: what there is to find.
+/// part, options, inside  as of `reconstruct_tile`
+Index cells_to_find(const scene::WindowedScene& part, const Tiling& tiling, const Tile& tile,
+                    const ReconstructOptions& options,
+                    const std::function<Tensor(const Grid&)>& inside = {});
+
 /// Makes the surface of one tile.
 /// part       of the scene that shows it
 /// exposures  of all images of the survey

@@ -542,6 +542,33 @@ TEST_CASE("outside of what is asked for a tile has no surfels and no cells that 
   CHECK(one.made([](const Grid& grid) { return Tensor({grid.height, grid.width}); }).empty);
 }
 
+TEST_CASE("what there is to find in a tile is counted without making it") {
+  const OneTile one(160);
+  const auto to_find = [&](const auto& inside) {
+    return static_cast<double>(cells_to_find(one.part, one.tiling, one.tile, one.options, inside));
+  };
+  const auto west = [](const Grid& grid) {
+    Tensor out({grid.height, grid.width});
+    for (Index i = 0; i < out.count(); ++i) out[i] = i % grid.width < grid.width / 3 ? 1 : 0;
+    return out;
+  };
+  const std::function<Tensor(const Grid&)> all;
+  const auto expected_of_made = [&](const auto& inside) {
+    return doctest::Approx(static_cast<double>(one.made(inside).expected)).epsilon(0.1);
+  };
+  // Of one that is made those with a height count besides, which lie up to a relief farther out.
+  CHECK(to_find(all) == expected_of_made(all));
+  CHECK(to_find(west) == expected_of_made(west));
+  CHECK(to_find(west) < 0.5 * to_find(all));
+  OneTile unwanted(160);
+  unwanted.options.unwanted = west;
+  CHECK(static_cast<double>(cells_to_find(unwanted.part, unwanted.tiling, unwanted.tile,
+                                          unwanted.options)) == to_find(all) - to_find(west));
+  OneTile alone(160);
+  alone.part.scene.views.pop_back();
+  CHECK(cells_to_find(alone.part, alone.tiling, alone.tile, alone.options) == 0);
+}
+
 TEST_CASE("only the ground that is wanted is made, on the cells of the whole") {
   const Files files(200);
   const scene::Survey survey = files.survey();
