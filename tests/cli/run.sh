@@ -165,8 +165,10 @@ holds "it says how well heights correlate" grep -qE "^correlation -?[0-9.]+, mea
 holds "one line per step of mono" test "$(wc -l <mono/train.jsonl)" -eq 8
 succeeds "mono from its record" "$satsurf" train --data data --out mono2 --config mono/run.json --seed 9 --quiet --threads 1
 holds "same seed, same network" cmp mono/weights.safetensors mono2/weights.safetensors
+cp mono2/run.json before.json
 succeeds "mono again, nothing left to do" "$satsurf" train --data data --out mono2 "${mono[@]}" --resume
 holds "and nothing done" cmp mono/checkpoint.safetensors mono2/checkpoint.safetensors
+holds "and the record of what was done is left" cmp before.json mono2/run.json
 succeeds "info of mono weights" "$satsurf" info mono/weights.safetensors
 holds "it says what they are" grep -qE "network +monocular, [0-9]+ weights; .\"base\":2" stdout
 holds "and what they were trained on" grep -qE "training +8 steps on 2 scenes, seed 9; .*\"task\":\"mono\"" stdout
@@ -237,6 +239,37 @@ holds "evaluate tells how high the geoid lies" grep -qE "differ by .* above the 
 holds "surfels stay above the ellipsoid" cmp geoid/surfels.ply bare/surfels.ply
 refuses "a geoid without a grid" 1 "EGM2008 geoid, expected its grid" "$satsurf" reconstruct "${images[@]}" --geoid egm2008 --out no --weights $weights --quiet
 rm -rf twins twin.tif two geoid
+# The file of surfels holds as many as asked for, and nothing else knows.
+surfels_of() { sed -nE 's/^element vertex ([0-9]+)$/\1/p;/^end_header/q' <(head -c 2000 "$1/surfels.ply"); }
+succeeds "few surfels" "$satsurf" reconstruct "${images[@]}" --max-surfels 500 --out thin --weights $weights --mesh none --report none --quiet
+holds "are 500 at most" test "$(surfels_of thin)" -le 500 -a "$(surfels_of thin)" -gt 300 -a "$(surfels_of bare)" -gt 5000
+holds "and the surface is made of all" cmp thin/dsm.tif bare/dsm.tif
+rm -rf thin
+
+# How the images' heights become one surface, and what only a surface network can say.
+succeeds "train the surface network" "$satsurf" train --data data --out surface --task surface --cascades $weights --surface.base 2 \
+  --batch 1 --crop 32 --steps 1 --seed 9 --quiet
+refining=("$satsurf" reconstruct "${images[@]}" --weights surface/weights.safetensors --mesh none --report none --quiet)
+succeeds "a refined surface" "${refining[@]}" --out refined
+for file in dsm.tif confidence.tif height_sigma.tif ortho.tif views.tif surfels.ply; do
+  holds "the refined one has $file" test -s refined/$file
+done
+for pair in "height_sigma dsm" "dsm height_sigma"; do
+  read -r one other <<<"$pair"
+  "$satsurf" evaluate --dsm refined/$one.tif --truth refined/$other.tif >stdout 2>stderr
+  holds "$one knows all cells of $other" grep -qF "(completeness 100.0 %)" stdout
+done
+for kind in plain splat; do
+  succeeds "a surface that is $kind" "${refining[@]}" --surface $kind --out surface_$kind
+  holds "$kind is not refined" bash -c "! cmp -s surface_$kind/dsm.tif refined/dsm.tif"
+  holds "$kind expects no errors" test ! -e surface_$kind/height_sigma.tif
+done
+holds "without a network it is the splatted one" cmp surface_splat/dsm.tif bare/dsm.tif
+holds "and not the plain one" bash -c "! cmp -s surface_plain/dsm.tif bare/dsm.tif"
+refuses "refining without a network" 2 "surface is refined, expected weights with a surface network" \
+  "$satsurf" reconstruct "${images[@]}" --surface refined --out no --weights $weights --quiet
+rm -rf refined surface_plain surface_splat
+
 # The rasters in another system: all on one grid, and nothing else changes.
 succeeds "rasters in another system" "$satsurf" reconstruct "${images[@]}" --crs EPSG:3857 --geoid egm96 --out moved --weights $weights --mesh none --quiet
 holds "say which" grep -q '^surface .*, EPSG:3857, ' stdout
@@ -275,7 +308,10 @@ read -r lon lat < <("$satsurf" info "${images[0]}" | sed -nE 's/^  centre +lon (
 box=$(awk -v x="$lon" -v y="$lat" 'BEGIN { printf "%.6f,%.6f,%.6f,%.6f", x - 0.0001, y - 0.0001, x + 0.0001, y + 0.0001 }')
 succeeds "a box in degrees" "$satsurf" reconstruct "${images[@]}" --out box --weights $weights --mesh none --bbox="$box" --quiet
 holds "it is smaller than the whole" test "$(stat -c %s box/surfels.ply)" -lt "$(stat -c %s bare/surfels.ply)"
-rm -rf part box
+succeeds "few surfels of a box" "$satsurf" reconstruct "${images[@]}" --out thin --weights $weights --mesh none --bbox="$box" --max-surfels 500 --report none --quiet
+holds "are 500 at most there, too" test "$(surfels_of thin)" -le 500 -a "$(surfels_of thin)" -gt 300 -a "$(surfels_of box)" -gt 2000
+holds "and the box is made of all" cmp thin/dsm.tif box/dsm.tif
+rm -rf part box thin
 refuses "an area elsewhere" 1 "outside of what two images see" "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --bbox 1,1,1.1,1.1 --quiet
 refuses "a box of three numbers" 2 "--bbox: 3 numbers, expected 4" "$satsurf" reconstruct "${images[@]}" --out no --bbox 1,1,2
 refuses "a box and an area" 2 "--bbox and --aoi came" "$satsurf" reconstruct "${images[@]}" --out no --bbox 1,1,2,2 --aoi area.geojson
@@ -302,6 +338,8 @@ holds "nor faces" test "$(stat -c %s masked/mesh.ply)" -lt "$(stat -c %s out/mes
 succeeds "the same in tiles" "$satsurf" reconstruct "${images[@]}" --out masked2 --weights $weights --mask area.geojson --max-memory 300MB --bbox="$(awk -v x="$lon" -v y="$lat" 'BEGIN { printf "%.4f,%.4f,%.4f,%.4f", x - 0.01, y - 0.01, x + 0.01, y + 0.01 }')" --mesh none --quiet
 "$satsurf" evaluate --dsm masked2/dsm.tif --truth masked/dsm.tif >stdout 2>stderr
 holds "it is unknown in the same cells" grep -qE "completeness (9[5-9]|100)\.[0-9] %" stdout
+# The network hardly knows anything, so that single heights differ by what else a tile's windows show.
+holds "and neither higher nor lower" awk '/^raw/ { mae = $3; median = $9 } END { exit !(mae > 0 && mae < 3 && median > -0.5 && median < 0.5) }' stdout
 refuses "a mask that is none" 1 "area.txt: " "$satsurf" reconstruct "${images[@]}" --out no --weights $weights --mask area.txt --quiet
 rm -rf masked masked2
 classes=data/Track3-Truth/SIM_001_CLS.tif
@@ -401,6 +439,17 @@ for read in $truth out/dsm.tif "${images[@]}"; do
 done
 succeeds "evaluate the truth" "$satsurf" evaluate --dsm $truth --truth $truth
 holds "the truth is right" grep -qE "raw +MAE +0.000 m" stdout
+grid() { printf 'ncols 4\nnrows 3\nxllcorner 500000\nyllcorner 4000000\ncellsize 1\n%s\n' "$2" >"$1.asc"; }
+grid ground $'10 11 12 13\n14 15 16 17\n18 19 20 21'
+grid flooded $'10 61 62 13\n14 65 16 17\n18 69 20 21'
+grid kinds $'2 9 9 2\n2 9 6 2\n2 9 2 5'
+succeeds "evaluate with water" "$satsurf" evaluate --dsm flooded.asc --truth ground.asc --classes kinds.asc
+holds "water counts unless told" grep -q "^12 of 12 true cells" stdout
+succeeds "evaluate without water" "$satsurf" evaluate --dsm flooded.asc --truth ground.asc --classes kinds.asc --mask-water
+holds "its cells do not count" grep -q "^8 of 8 true cells" stdout
+holds "nor do its errors" grep -qE "raw +MAE +0.000 m" stdout
+refuses "leaving out water that nobody knows" 2 "^satsurf: --mask-water: no --classes, expected the class raster as well" \
+  "$satsurf" evaluate --dsm flooded.asc --truth ground.asc --mask-water
 succeeds "evaluate a data set" "$satsurf" evaluate --data data --weights $weights --json all.json --csv all.csv \
   --confidence-csv confidence.csv --confidence-figure confidence.svg --register z --quiet
 holds "it prints means" grep -qE "^DSM, filled +[0-9.]+ +[0-9.]+ +[0-9.]+%.* 100.0%$" stdout
@@ -428,6 +477,18 @@ for read in $weights $truth data/Track3-RGB/SIM_002_004_RGB.tif; do
   holds "it records that it read $read" grep -qF "\"path\": \"$read\"" all.json
 done
 holds "one row per scene, a heading and the mean" test "$(wc -l <all.csv)" -eq 4
+column() { awk -F, -v name="$2" 'NR == 1 { for (i = 1; i <= NF; i++) if ($i == name) k = i } { print $k }' "$1"; }
+holds "no errors are expected without a surface network" test -z "$(column all.csv sigma_within_1 | tail -n +2 | tr -d '\n')"
+succeeds "evaluate refined surfaces" "$satsurf" evaluate --data data --weights surface/weights.safetensors --csv refined.csv \
+  --no-meshes --register z --quiet
+holds "it prints how true the expected errors are" grep -qE "^expected errors +[0-9.]+% of the cells within one, +[0-9.]+% within two$" stdout
+holds "and so says the table, of all scenes and the mean" awk 'NR > 1 && $1 > 0 && $1 < $2 && $2 <= 1 { good++ } END { exit good != 3 }' \
+  <(paste <(column refined.csv sigma_within_1) <(column refined.csv sigma_within_2))
+succeeds "evaluate with a generous range" "$satsurf" evaluate --data data --weights $weights --csv above.csv --json above.json \
+  --range-above 40 --no-meshes --register z --quiet
+holds "it is in the record" grep -q '"range_above": 40.0' above.json
+holds "surfaces are others" bash -c '! cmp -s "$0" "$1"' <(column above.csv dsm_mae) <(column all.csv dsm_mae)
+holds "and the views' heights are not" cmp <(column above.csv mvs_source_rmse) <(column all.csv mvs_source_rmse)
 succeeds "evaluate a mesh" "$satsurf" evaluate --mesh coarse/mesh.ply --reference-mesh out/mesh.ply --json mesh.json
 holds "it prints the distance" grep -qE "^surfaces +chamfer +[0-9.]+ m" stdout
 holds "it prints F1" grep -qE "within 1.0 m  F1 [01]\.[0-9]{3}  precision [01]\.[0-9]{3}  recall [01]\.[0-9]{3}$" stdout
@@ -806,13 +867,14 @@ view() { # NAME SLANT
   "col_den": [1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]}}
 JSON
 }
-raster() { # NAME WHAT: texture, flat, holes (texture with NaN and nodata), nodata or nan
+raster() { # NAME WHAT: texture, flat, holes (texture with NaN and nodata), nodata, nan; with a hole painted in zeros, or declared
   awk -v what="$2" 'BEGIN {
     print "ncols 64\nnrows 64\nxllcorner 0\nyllcorner 0\ncellsize 1\nNODATA_value -1"
     for (i = 0; i < 64; i++) for (j = 0; j < 64; j++) {
       v = int(100 + 60 * sin(i / 3) * cos(j / 2.3) + (i * 37 + j * 61) % 29) + 0.5
       if (what == "flat") v = 90
       if (what == "nodata" || (what == "holes" && i > 50)) v = -1
+      if (i > 20 && i < 44 && j > 20 && j < 40) v = what == "painted" ? 0 : what == "declared" ? -1 : v
       if (what == "nan" || (what == "holes" && j > 50)) v = "nan"
       printf "%s%s", v, j < 63 ? " " : "\n"
     } }' >"$1.asc"
@@ -823,6 +885,15 @@ view c -0.9 && raster c nodata
 view d -0.9 && raster d nan
 succeeds "NaN and nodata pixels are left out" reconstruct a.json b.json --out holes --weights $weights
 holds "the surface is there" test -s holes/dsm.tif
+for what in painted declared; do mkdir $what && (cd $what && view b -0.9 && raster b $what); done
+succeeds "a painted hole" reconstruct a.json painted/b.json --out hole_seen --weights $weights --mesh none --report none
+succeeds "a hole by its value" reconstruct a.json painted/b.json --nodata 0 --out hole_named --weights $weights --mesh none --report none
+succeeds "a hole that the file declares" reconstruct a.json declared/b.json --out hole_declared --weights $weights --mesh none --report none
+for file in dsm views ortho; do
+  holds "what --nodata names says nothing in $file" cmp hole_named/$file.tif hole_declared/$file.tif
+  holds "and something where it does not, in $file" bash -c "! cmp -s hole_named/$file.tif hole_seen/$file.tif"
+done
+rm -rf hole_seen hole_named hole_declared
 refuses "all nodata" 1 "c.asc" reconstruct a.json c.json --out no --weights $weights
 refuses "all NaN" 1 "d.asc" reconstruct a.json d.json --out no --weights $weights
 cat >huge.vrt <<XML

@@ -2,15 +2,18 @@
 #include "satsurf/app/confidence_figure.h"
 #include "satsurf/app/scores_json.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/core/var.h"
 #include "satsurf/evaluate/evaluate.h"
 #include "satsurf/evaluate/table.h"
 #include "satsurf/mesh/compare.h"
+#include "satsurf/reconstruct/laid_surfels.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
 #include "satsurf/rpc/raster.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
 #include "satsurf/scene/simulate/scene.h"
+#include "satsurf/splat/view.h"
 
 #include <algorithm>
 #include <array>
@@ -117,6 +120,72 @@ Tensor around(const HeightField& field, double x, double y, double radius) {
   return mask;
 }
 
+/// The true cells that two of the first three views see and that are no water.
+Tensor scored_cells(const Scene& scene) {
+  std::vector<ImageCamera> cameras;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const View& v = scene.views[i];
+    cameras.push_back({v.rpc, v.rgb.dim(2), v.rgb.dim(1)});
+  }
+  Tensor mask = seen_by_two(*scene.truth, scene.frame, cameras);
+  const Tensor dry = not_water(scene.classes);
+  for (Index i = 0; i < mask.count(); ++i) mask[i] *= dry[i];
+  return mask;
+}
+
+/// What is said of views is what the window about the middle shows: of sources all pixels, of the
+/// target's colours those that surfels cover.
+/// surfels  that were scored
+void check_views(const SceneScores& s, const nn::Model& model, const Scene& scene,
+                 const splat::Surfels& surfels) {
+  const NoGrad no_grad;
+  const HeightField& truth = *scene.truth;
+  const Index h = truth.z.dim(0), w = truth.z.dim(1);
+  const float middle = truth.z[h / 2 * w + w / 2];
+  REQUIRE(std::isfinite(middle));
+  Crop crop = make_crop(scene, {.sources = {0, 1, 2},
+                                .target = 3,
+                                .centre = {truth.x0 + truth.step * static_cast<double>(w) / 2,
+                                           truth.y0 - truth.step * static_cast<double>(h) / 2,
+                                           static_cast<double>(middle)},
+                                .size = {64, 64},
+                                .z_range = scene.z_range,
+                                .with_truth = true});
+  forget_unseen_truth(crop);
+  const auto stages = model.forward(crop.input);
+  double squares = 0, n = 0;
+  for (Index i = 0; i < 3; ++i) {
+    const Tensor found = stages[2].height.value().slice0(i),
+                 &known = crop.source_truth[2][static_cast<std::size_t>(i)];
+    for (Index p = 0; p < known.count(); ++p)
+      if (std::isfinite(known[p])) {
+        const auto error = static_cast<double>(found[p] - known[p]);
+        squares += error * error, n += 1;
+      }
+  }
+  CHECK(s.mvs_source.rmse == doctest::Approx(std::sqrt(squares / n)).epsilon(1e-6));
+
+  const auto shown = splat::render_view(surfels, crop.target->pixel_from_local, 64, 64, 1);
+  const Tensor colours = splat::surface_colours(shown);
+  const Tensor &rgb = crop.target->rgb, &valid = crop.target->valid;
+  double valid_pixels = 0, covered = 0, difference = 0, bare = 0;
+  for (Index p = 0; p < valid.count(); ++p) {
+    if (!(valid[p] > 0)) continue;
+    const bool covers = shown.alpha.value()[p] >= 0.5f;
+    valid_pixels += 1, covered += covers ? 1 : 0;
+    for (Index c = 0; c < 3; ++c) {
+      const Index at = c * valid.count() + p;
+      const double d = std::clamp(static_cast<double>(colours[at]), 0., 1.) -
+                       std::clamp(static_cast<double>(rgb[at]), 0., 1.);
+      (covers ? difference : bare) += d * d;
+    }
+  }
+  REQUIRE(bare > 0);  // what is not covered would change the score
+  CHECK(s.target_covered == doctest::Approx(covered / valid_pixels));
+  CHECK(s.target.psnr ==
+        doctest::Approx(-10 * std::log10(difference / (3 * covered))).epsilon(1e-6));
+}
+
 /// All numbers but the time.
 std::string text_of(DataScores scores) {
   for (SceneScores& s : scores.scenes) s.seconds = 0;
@@ -129,6 +198,18 @@ TEST_CASE("not_water") {
   const Tensor mask = not_water(Tensor::from({2, 3}, {2, 9, 5, 9, 65, 6}));
   const float expected[] = {1, 0, 1, 0, 1, 1};
   for (Index i = 0; i < 6; ++i) CHECK(mask[i] == expected[i]);
+}
+
+TEST_CASE("expected errors are scored by the cells whose error is within one and two of them") {
+  const auto nan = static_cast<float>(kNan);
+  const SigmaScore s = score_sigma(Tensor::from({1, 5}, {1, 1, 1, 1, nan}),
+                                   Tensor::from({1, 5}, {0.5f, -1.5f, 3, nan, 0}));
+  CHECK(s.within_1 == doctest::Approx(1. / 3));
+  CHECK(s.within_2 == doctest::Approx(2. / 3));
+  const SigmaScore none = score_sigma(Tensor({1, 2}, nan), Tensor({1, 2}));
+  CHECK(std::isnan(none.within_1));
+  CHECK(std::isnan(none.within_2));
+  CHECK_THROWS_AS(score_sigma(Tensor({1, 2}), Tensor({2, 1})), ShapeError);
 }
 
 TEST_CASE("scores of a data set") {
@@ -417,11 +498,7 @@ TEST_CASE("a scene's scores") {
     reconstruct::ReconstructOptions how;
     how.resolution = scene.truth->step, how.mesh = 0;
     const reconstruct::Reconstruction made = reconstruct::reconstruct(model, seen, how);
-    std::vector<ImageCamera> cameras;
-    for (const View& v : seen.views) cameras.push_back({v.rpc, v.rgb.dim(2), v.rgb.dim(1)});
-    Tensor mask = seen_by_two(*scene.truth, scene.frame, cameras);
-    const Tensor dry = not_water(scene.classes);
-    for (Index i = 0; i < mask.count(); ++i) mask[i] *= dry[i];
+    const Tensor mask = scored_cells(scene);
     std::vector<nn::PosedImage> images = made.images;
     for (std::size_t i = 3; i < scene.views.size(); ++i)
       images.push_back(posed_image(scene.views[i], scene.frame, scene.z_range));
@@ -433,6 +510,7 @@ TEST_CASE("a scene's scores") {
     REQUIRE(s.dsm.shift[2] != 0);
     CHECK(compared(s.dsm.shift) == scores_json(*s.mesh).dump());
     CHECK(compared({0, 0, 0}) != scores_json(*s.mesh).dump());
+    check_views(s, model, scene, reconstruct::delivered_surfels(made));
   }
   const auto j = scores_json(all);
   CHECK(j["mean"]["mesh_chamfer"] == s.mesh->all.chamfer);
@@ -448,6 +526,47 @@ TEST_CASE("a scene's scores") {
     CHECK(j["confidence"][of]["monotone"].is_boolean());
   }
 
+  SUBCASE("a longer range is searched for the surface alone") {
+    options.lpips = nullptr, options.meshes = false;
+    const auto heights = [](const SceneScores& t) {
+      std::string text;
+      for (const RegisteredScores& r : t.registered)
+        text += scores_json(r.scores).dump() + scores_json(r.filled).dump();
+      return text;
+    };
+    Scene higher = scene;
+    higher.z_range.high += 40;
+    const std::string raised = heights(evaluate_scene(model, higher, options));
+    options.range_above = 40;
+    const SceneScores above = evaluate_scene(model, scene, options);
+    CHECK(heights(above) == raised);
+    CHECK(heights(above) != heights(s));
+    CHECK(scores_json(above.mvs_source) == scores_json(s.mvs_source));
+  }
+  SUBCASE("expected errors are scored where the surface has come to lie") {
+    const nn::SurfaceModel network({.base = 3}, 5);
+    options.network = &network, options.lpips = nullptr, options.meshes = false;
+    options.registration = Registration::xyz;
+    const SceneScores t = evaluate_scene(model, scene, options);
+    Scene seen = scene;
+    seen.views.resize(3);
+    reconstruct::ReconstructOptions how;
+    how.resolution = scene.truth->step, how.network = &network;
+    const reconstruct::Reconstruction made = reconstruct::reconstruct(model, seen, how);
+    const DsmComparison c =
+        compare_dsm(made.dsm, *scene.truth, Registration::xyz, scored_cells(scene));
+    const HeightField sigma{made.sigma, made.dsm.x0 + c.shift[0], made.dsm.y0 + c.shift[1],
+                            made.dsm.step};
+    const SigmaScore expected = score_sigma(resample(sigma, *scene.truth), c.error);
+    CHECK(t.sigma.within_1 == expected.within_1);
+    CHECK(t.sigma.within_2 == expected.within_2);
+    CHECK(t.sigma.within_1 > 0);
+    CHECK(t.sigma.within_1 < t.sigma.within_2);
+    CHECK(std::isnan(s.sigma.within_1));  // without a surface network there are none
+    const auto table = scores_json(std::vector{t});
+    CHECK(table["scenes"][0]["sigma"]["within_1"] == t.sigma.within_1);
+    CHECK(table["mean"]["sigma_within_2"] == t.sigma.within_2);
+  }
   SUBCASE("without a target nothing is said of one") {
     Scene fewer = scene;
     fewer.views.resize(3);

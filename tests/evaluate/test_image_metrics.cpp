@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/picture.h"
 #include "satsurf/app/preview.h"
+#include "satsurf/core/rng.h"
 #include "satsurf/evaluate/image_metrics.h"
 #include "satsurf/evaluate/metrics.h"
 
@@ -109,6 +110,42 @@ TEST_CASE("score_images") {
           doctest::Approx(test::ssim_ref(clip(a), clip(b), m.data(), 3, H, W, test::kSkimageRef)));
     CHECK(s.ssim_conv ==
           doctest::Approx(test::ssim_ref(clip(a), clip(b), m.data(), 3, H, W, test::kConvRef)));
+  }
+  SUBCASE("after a change of all colours what is left is what no such change explains") {
+    // Each colour twice, and the reference a little above its map here and as much below there.
+    const Index pairs = 60;
+    constexpr double kMap[3][4] = {{0.5, 0.1, 0, 0.2}, {0, 0.4, 0.2, 0.1}, {-0.1, 0.2, 0.6, 0.15}};
+    Tensor image({3, 2, pairs}), reference({3, 2, pairs}), mask({2, pairs}, 1.f);
+    double left = 0, before = 0;
+    Rng rng(3);
+    for (Index i = 0; i < pairs; ++i) {
+      const double rgb[3] = {rng.uniform(0.2, 0.8), rng.uniform(0.2, 0.8), rng.uniform(0.2, 0.8)};
+      for (Index row = 0; row < 2; ++row)
+        for (Index c = 0; c < 3; ++c) {
+          const double* m = kMap[c];
+          const double off = (row == 0 ? 0.01 : -0.01) * static_cast<double>(c + 1),
+                       value = m[0] * rgb[0] + m[1] * rgb[1] + m[2] * rgb[2] + m[3] + off;
+          const Index at = (c * 2 + row) * pairs + i;
+          image[at] = static_cast<float>(rgb[c]), reference[at] = static_cast<float>(value);
+          left += off * off, before += (value - rgb[c]) * (value - rgb[c]);
+        }
+    }
+    const auto decibels = [&](double squares) {
+      return -10 * std::log10(squares / static_cast<double>(6 * pairs));
+    };
+    const ImageScores s = score_images(image, reference);
+    CHECK(s.psnr_fitted == doctest::Approx(decibels(left)).epsilon(1e-5));
+    CHECK(s.psnr == doctest::Approx(decibels(before)).epsilon(1e-5));
+    CHECK(s.psnr_fitted > s.psnr + 3);
+    // Both pixels of some colours, which do not count, have nothing to say about the map.
+    for (Index p = 0; p < 2 * pairs; p += 4) {
+      const Index other = (p + pairs) % (2 * pairs);
+      mask[p] = mask[other] = 0;
+      for (const Index at : {p, other})
+        for (Index c = 0; c < 3; ++c) reference[c * 2 * pairs + at] = c == 0 ? 1.f : 0.f;
+    }
+    CHECK(score_images(image, reference, mask).psnr_fitted ==
+          doctest::Approx(decibels(left)).epsilon(1e-5));
   }
   SUBCASE("equal images") {
     const ImageScores s = score_images(a, a);

@@ -8,6 +8,7 @@
 
 #include "tests/affine_scene.h"
 #include "tests/gradcheck.h"
+#include <Eigen/Geometry>
 #include <doctest/doctest.h>
 
 using namespace satsurf;
@@ -91,5 +92,36 @@ TEST_CASE("surfels that follow the surface face along its normal") {
     CHECK(n[0] == doctest::Approx(0.3 / length).epsilon(1e-9));
     CHECK(std::abs(n[1]) < 1e-9);
     CHECK(n[2] == doctest::Approx(-1 / length).epsilon(1e-9));
+  }
+}
+
+TEST_CASE("surfels that follow a surface seen at a slant face along its normal, too") {
+  // rows and columns of the image lie askew on the ground, which shifts with the height
+  nn::PixelGeometry geometry;
+  geometry.local_from_pixel = AffineCamera{0.5, 0.5, -0.3, 7.5}.local_from_pixel();
+  geometry.local_from_pixel.coeff[0][2] = 0.1;
+  geometry.local_from_pixel.coeff[1][1] = -0.15;
+  constexpr Index kSide = 16;
+  Doubles height({1, kSide, kSide});
+  for (Index i = 0; i < height.count(); ++i)
+    for (int k = 0; k < 30; ++k) {  // the point seen, by fixed-point iteration
+      const auto p = geometry.local_from_pixel(static_cast<double>(i % kSide),
+                                               static_cast<double>(i / kSide), height[i]);
+      height[i] = 0.3 * p[0] - 0.2 * p[1];
+    }
+  const auto s = nn::surfels_from_maps<double>(
+      {BasicVar<double>(Doubles({1, 10, kSide, kSide})), BasicVar<double>(height),
+       Doubles({1, 3, kSide, kSide}), BasicVar<double>(Doubles({1, kSide, kSide}))},
+      {geometry}, nn::Rotation::gradient);
+  const Eigen::Vector3d normal = Eigen::Vector3d(0.3, -0.2, -1).normalized();
+  for (Index i = 0; i < kSide * kSide; ++i) {
+    CAPTURE(i);
+    const double* q = s.quats.value().data() + 4 * i;
+    const Eigen::Matrix3d axes = Eigen::Quaterniond(q[0], q[1], q[2], q[3]).toRotationMatrix();
+    CHECK((axes.col(2) - normal).norm() < 1e-9);
+    if (i % kSide == kSide - 1) continue;
+    const double* m = s.means.value().data() + 3 * i;  // and the first axis to the next pixel
+    const Eigen::Vector3d next(m[3] - m[0], m[4] - m[1], m[5] - m[2]);
+    CHECK((axes.col(0) - next.normalized()).norm() < 1e-9);
   }
 }

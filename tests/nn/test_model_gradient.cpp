@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // The whole model's gradient against central differences, and what of it is stopped by design.
+#include "satsurf/nn/guidance.h"
 #include "satsurf/nn/model.h"
+#include "satsurf/ops/concat.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/reduce.h"
+#include "satsurf/splat/view.h"
 
 #include <algorithm>
 #include <array>
@@ -52,6 +55,10 @@ nn::ModelConfig config_of_all_parts() {
   config.interval_min = config.interval_max = 1.05;
   config.fusion_lambda = 0;
   config.confidence = nn::Confidence::raw;  // the others reach the heads without a gradient
+  config.best_pair = config.local_contrast = true;
+  config.feature_levels = 2;
+  config.height = nn::HeightOf::mode;
+  config.centre = nn::Centre::nearest;
   return config;
 }
 
@@ -67,7 +74,8 @@ Model awake(const nn::ModelConfig& config) {
   for (const auto& e : model.parameters().entries())
     for (const char* end :
          {"head.out.weight", "guidance.residual1.bias", "guidance.residual2.weight",
-          "cost.context.gamma", "fusion.value_mono.weight", "fusion.query.weight"})
+          "cost.context.gamma", "fusion.value_mono.weight", "fusion.query.weight",
+          "cost.first.more", "full1.contrast", "features.around"})
       if (e.name.ends_with(end)) randomise(e.var, ++seed, 0.1);
   return model;
 }
@@ -137,7 +145,7 @@ std::vector<std::string> layers_of(const Model& model) {
   std::vector<std::string> layers;
   for (const auto& e : model.parameters().entries()) {
     const std::string layer = e.name.substr(0, e.name.rfind('.') + 1);
-    if (layers.empty() || layers.back() != layer) layers.push_back(layer);
+    if (std::ranges::find(layers, layer) == layers.end()) layers.push_back(layer);
   }
   return layers;
 }
@@ -177,7 +185,8 @@ TEST_CASE("the whole model's gradient, for every parameter of all three stages")
           (start != "additive" && layer.find("fusion") == std::string::npos))
         continue;
       double error = INFINITY;
-      for (const double step : {1e-6, 1e-7}) {  // kinks may lie within the longer one
+      // kinks may lie within the longer ones, and modes and best pairs that change
+      for (const double step : {1e-7, 1e-6, 1e-8}) {
         const Slope s = slope(value, parameters, step);
         REQUIRE(s.gradient > 0);
         error = std::min(error, std::abs(s.numeric - s.analytic) / s.gradient);
@@ -192,6 +201,48 @@ TEST_CASE("the whole model's gradient, for every parameter of all three stages")
                                     "stage2.guidance", "stage3.cost",    "stage3.head",
                                     "stage3.fusion",   "stage3.guidance"};
     CHECK(parts == (start == "additive" ? all : fusions));
+  }
+}
+
+TEST_CASE("guidance compares every view with what is rendered into it") {
+  const NoGrad no_grad;
+  const auto scene = strip();
+  const auto stages = Model(nn::model_preset("tiny_full"), 3).forward(scene);
+  const auto& previous = stages[0];
+  const nn::GuidedMaps<double> maps{.image = normal({3, 3, 16, 32}, 7),
+                                    .height = stages[1].height.value(),
+                                    .confidence = stages[1].confidence.value(),
+                                    .validity = BasicTensor<double>({3, 16, 32}, 1.0),
+                                    .interval = 1};
+  std::vector<BasicVar<double>> heights, colours, alphas;
+  for (const nn::PosedImage& view : scene.sources) {
+    const auto render = splat::render_view(previous.surfels, view.pixel_from_local, view.rgb.dim(1),
+                                           view.rgb.dim(2), previous.stride);
+    REQUIRE(render.height.shape() == Shape{8, 16});
+    heights.push_back(reshape(render.height, Shape{1, 8, 16}));
+    colours.push_back(reshape(render.colour, Shape{1, 3, 8, 16}));
+    alphas.push_back(reshape(render.alpha, Shape{1, 8, 16}));
+  }
+  const BasicTensor<double> alpha = concat(alphas, 0).value();
+  for (const auto guidance : {nn::Guidance::csrg, nn::Guidance::photometric}) {
+    CAPTURE(static_cast<int>(guidance));
+    nn::ModelConfig config = nn::model_preset("tiny_full");
+    config.guidance = guidance;
+    nn::ParameterSet<double> parameters(1);
+    const nn::CrossStageGuidance<double> part(parameters, "guidance", config, 5);
+    const auto got = part.residual(maps, previous, scene.sources).value();
+    const auto want =
+        guidance == nn::Guidance::csrg
+            ? nn::guidance_residual<double>(maps, {concat(heights, 0).value(), alpha},
+                                            config.guidance_norm)
+            : nn::photometric_residual<double>(maps, {concat(colours, 0).value(), alpha});
+    REQUIRE(got.shape() == want.shape());
+    CHECK(std::ranges::equal(got.values(), want.values()));
+    for (Index n = 0; n < 3; ++n) {  // of each view most is covered, and has a residual
+      Index known = 0;
+      for (Index i = 0; i < 16 * 32; ++i) known += want[n * 3 * 16 * 32 + i] != 0;
+      CHECK(known > 16 * 32 / 2);
+    }
   }
 }
 

@@ -4,15 +4,18 @@
 #include "satsurf/nn/blocks.h"
 #include "satsurf/nn/confidence.h"
 #include "satsurf/nn/hypotheses.h"
+#include "satsurf/nn/running_mean.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/reduce.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "tests/affine_scene.h"
 #include "tests/gradcheck.h"
+#include <Eigen/Geometry>
 
 using namespace satsurf;
 using namespace satsurf::test;
@@ -139,6 +142,26 @@ TEST_CASE("AdamW follows the published recurrence") {
   CHECK(adam.steps() == 4);
 }
 
+TEST_CASE("the running mean follows the published recurrence, and is exchanged") {
+  nn::ParameterSet<float> p(0);
+  Var w = p.create("w", {1}, nn::Init::constant(1), true);
+  nn::RunningMean average(p, 0.3);
+  double mean = 1;
+  const auto add = [&](float value, double keep) {
+    w.mutable_value() = Tensor({1}, value);
+    average.add();
+    mean = keep * mean + (1 - keep) * static_cast<double>(value);
+  };
+  add(2, 2.0 / 11);  // (1 + t) / (10 + t)
+  add(4, 3.0 / 12);
+  add(8, 0.3);  // below 4 / 13
+  CHECK(w.value()[0] == 8);
+  average.swap();
+  CHECK(w.value()[0] == doctest::Approx(mean).epsilon(1e-6));
+  average.swap();
+  CHECK(w.value()[0] == 8);
+}
+
 TEST_CASE("gradients are clipped to a global norm") {
   nn::ParameterSet<float> p(0);
   Var a = p.create("a", {2}, nn::Init::constant(0), true),
@@ -231,5 +254,46 @@ TEST_CASE("surfels of pixels: gradients and meaning") {
                                   1, 4)(m[0], m[1], m[2]);
     CHECK(p[0] == doctest::Approx(static_cast<double>(i % 2)).epsilon(1e-9));
     CHECK(p[1] == doctest::Approx(static_cast<double>(i / 2 % 2)).epsilon(1e-9));
+  }
+}
+
+TEST_CASE("surfels of pixels have the attributes that the head's numbers stand for") {
+  const auto scene =
+      affine_scene(8, {{0.6, 0.2}, {-0.5, 0.3}}, -4, 4, [](double, double) { return 0.0; });
+  std::vector<nn::PixelGeometry> geometry;
+  for (const auto& v : scene.sources) geometry.push_back(nn::pixel_geometry(v, 0, 4));
+  geometry[1].footprint *= 1.5;  // of the same size otherwise
+  const auto raw = normal({2, 10, 2, 2}, 3, 0.3), image = normal({2, 3, 2, 2}, 6);
+  const BasicVar<double> height(normal({2, 2, 2}, 4)), confidence(normal({2, 2, 2}, 5));
+  const auto sigma = [](double x) { return 1 / (1 + std::exp(-x)); };
+  for (const nn::Rotation rotation : {nn::Rotation::camera, nn::Rotation::residual}) {
+    CAPTURE(static_cast<int>(rotation));
+    const auto s = nn::surfels_from_maps<double>({BasicVar<double>(raw), height, image, confidence},
+                                                 geometry, rotation);
+    for (Index i = 0; i < 8; ++i) {
+      CAPTURE(i);
+      const nn::PixelGeometry& view = geometry[static_cast<std::size_t>(i / 4)];
+      const auto r = [&](Index k) { return raw[(i / 4 * 10 + k) * 4 + i % 4]; };
+      for (Index k = 0; k < 2; ++k)
+        CHECK(s.scales.value()[2 * i + k] ==
+              doctest::Approx(view.footprint * (0.1 + 2.9 * sigma(r(k)))));
+      CHECK(s.opacity.value()[i] == doctest::Approx(sigma(r(6))));
+      for (Index c = 0; c < 3; ++c)
+        CHECK(s.colours.value()[3 * i + c] ==
+              doctest::Approx(image[(i / 4 * 3 + c) * 4 + i % 4] + r(7 + c)));
+      CHECK(s.aux.value()[i] == confidence.value()[i]);
+      std::array<double, 4> quat = view.quat;
+      if (rotation == nn::Rotation::residual) {
+        // the product of Hamilton by parts: w = qw rw - qv . rv, v = qw rv + rw qv + qv x rv
+        const Eigen::Vector3d qv(quat[1], quat[2], quat[3]), rv(r(3), r(4), r(5));
+        const double qw = quat[0], rw = 1 + r(2);
+        const Eigen::Vector3d v = qw * rv + rw * qv + qv.cross(rv);
+        quat = {qw * rw - qv.dot(rv), v[0], v[1], v[2]};
+        CHECK(qv.cross(rv).norm() > 1e-3);  // it matters which of them stands first
+      }
+      for (Index k = 0; k < 4; ++k)
+        CHECK(s.quats.value()[4 * i + k] ==
+              doctest::Approx(quat[static_cast<std::size_t>(k)]).epsilon(1e-9));
+    }
   }
 }

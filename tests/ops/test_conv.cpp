@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "tests/gradcheck.h"
+#include "tests/isa_variants.h"
 #include "tests/ref/conv_ref.h"
 #include <doctest/doctest.h>
 
@@ -264,8 +265,7 @@ BasicVar<double> var(const Shape& shape) { return BasicVar<double>(BasicTensor<d
 TEST_CASE("convolution kernels agree with nested loops on every instruction set") {
   for (const Case& c : kCases) {
     const Expected e = expected(c);
-    for (const Isa isa : kAllIsas) {
-      if (!isa_available(isa)) continue;
+    for (const Isa isa : test::tested_isas()) {
       CAPTURE(std::string(isa_name(isa)));
       CAPTURE(std::string(c.name));
       check_case<float>(e, isa);
@@ -280,8 +280,7 @@ TEST_CASE("convolutions normalise their inputs while they read them") {
     constexpr Activation kAll[] = {Activation::relu, Activation::gelu, Activation::none};
     const ExpectedNormalised first = expected(c, kAll[next++ % 3]),
                              second = expected(c, kAll[next % 3]);
-    for (const Isa isa : kAllIsas) {
-      if (!isa_available(isa)) continue;
+    for (const Isa isa : test::tested_isas()) {
       CAPTURE(std::string(isa_name(isa)));
       CAPTURE(std::string(c.name));
       check_normalised_case<float>(first, isa);

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "tests/gradcheck.h"
+#include "tests/isa_variants.h"
 
 using namespace satsurf;
 using test::gradcheck;
@@ -102,8 +103,7 @@ TEST_CASE("gemm agrees with the sums it stands for") {
       {70, 261, 301}};                                              // groups of panels
   for (const auto& [M, N, K] : sizes) {
     const Product p(M, N, K);
-    for (const Isa isa : kAllIsas) {
-      if (!isa_available(isa)) continue;
+    for (const Isa isa : test::tested_isas()) {
       for (const bool ta : kBoth)
         for (const bool tb : kBoth) {
           CAPTURE(std::string(isa_name(isa)));

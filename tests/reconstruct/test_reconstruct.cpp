@@ -323,7 +323,10 @@ TEST_CASE("unwanted ground has neither heights nor surfels, and the rest is what
   const scene::Scene scene =
       scene::scene_from_images(test::HeldImages(made).images(), test::range_of(made)).scene;
   const nn::Model model(nn::model_preset("tiny"), 3);
+  const nn::SurfaceModel network({.base = 3}, 5);
   ReconstructOptions options;
+  SUBCASE("splatted") {}
+  SUBCASE("refined") { options.network = &network; }
   const Reconstruction whole = reconstruct::reconstruct(model, scene, options);
   options.unwanted = [](const Grid& grid) {  // the east
     Tensor out({grid.height, grid.width});
@@ -335,7 +338,9 @@ TEST_CASE("unwanted ground has neither heights nor surfels, and the rest is what
   REQUIRE(part.dsm.z.shape() == whole.dsm.z.shape());
   const Index W = part.dsm.z.dim(1);
   Index west = 0;
+  REQUIRE(part.sigma.empty() == (options.network == nullptr));
   for (Index i = 0; i < part.dsm.z.count(); ++i) {
+    if (!part.sigma.empty()) CHECK(std::isnan(part.sigma[i]) == std::isnan(part.dsm.z[i]));
     const bool unwanted = part.dsm.x0 + (static_cast<double>(i % W) + 0.5) * part.dsm.step > 0;
     if (unwanted) {
       CHECK(std::isnan(part.dsm.z[i]));

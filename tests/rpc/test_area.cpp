@@ -10,8 +10,10 @@
 #include <iterator>
 #include <limits>
 #include <memory>
+#include <sstream>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "tests/rpc/quiet_server.h"
 #include "tests/temp_folder.h"
@@ -71,6 +73,53 @@ TEST_CASE("polygons are read in whatever system the file names, holes and all") 
   const Area triangle = read_area(folder / "degrees.geojson", kZone);
   CHECK(triangle.contains(500050, 3350050));
   CHECK_FALSE(triangle.contains(500050 - 90, 3350050 + 90));
+}
+
+TEST_CASE("polygons that overlap or touch are one area") {
+  const TempFolder folder("area_joined");
+  const auto read = [&](const std::vector<std::array<double, 4>>& boxes) {
+    std::ostringstream text;
+    text << std::fixed << R"({"type":"FeatureCollection","crs":{"type":"name","properties":)"
+         << R"({"name":"EPSG:32617"}},"features":[)";
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+      const auto& [x0, y0, x1, y1] = boxes[i];
+      text << (i > 0 ? "," : "") << R"({"type":"Feature","properties":{},"geometry":{"type":)"
+           << R"("Polygon","coordinates":[[[)" << x0 << ',' << y0 << "],[" << x1 << ',' << y0
+           << "],[" << x1 << ',' << y1 << "],[" << x0 << ',' << y1 << "],[" << x0 << ',' << y0
+           << "]]]}}";
+    }
+    write_bytes(folder / "boxes.geojson", text.str() + "]}");
+    return read_area(folder / "boxes.geojson", kZone);
+  };
+  const Area two = read({{500000, 3350000, 500100, 3350100}, {500060, 3350060, 500160, 3350160}});
+  CHECK(two.rings.size() == 1);
+  CHECK(two.contains(500080, 3350080));  // in both
+  CHECK(two.contains(500020, 3350020));
+  CHECK(two.contains(500140, 3350140));
+  CHECK_FALSE(two.contains(500020, 3350140));
+  CHECK_FALSE(two.contains(500140, 3350020));
+
+  // so many that they are joined part by part; every second overlaps its neighbour in the east and
+  // touches that in the north, also where the parts meet
+  std::vector<std::array<double, 4>> many;
+  for (int row = 0; row < 12; ++row)
+    for (int column = 0; column < 12; ++column) {
+      const double x = 500000 + 30 * column + (column % 2 != 0 ? 15 : 0),
+                   y = 3350000 + 30 * row + (row % 2 != 0 ? 10 : 0);
+      many.push_back({x, y, x + 20, y + 20});
+    }
+  const Area area = read(many);
+  Index wrong = 0, inside = 0;
+  for (double y = 3349997.5; y < 3350400; y += 5)
+    for (double x = 499997.5; x < 500400; x += 5) {
+      const bool in = std::ranges::any_of(many, [&](const std::array<double, 4>& box) {
+        return x > box[0] && x < box[2] && y > box[1] && y < box[3];
+      });
+      inside += in;
+      wrong += area.contains(x, y) != in;
+    }
+  CHECK(wrong == 0);
+  CHECK(inside == 43 * 48);
 }
 
 TEST_CASE("files without polygons, and files that are none, are refused by name") {

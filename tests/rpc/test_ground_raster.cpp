@@ -3,14 +3,17 @@
 #include "satsurf/rpc/geoid.h"
 #include "satsurf/rpc/ground_raster.h"
 
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "tests/temp_folder.h"
 #include <doctest/doctest.h>
 #include <gdal_priv.h>
+#include <ogr_spatialref.h>
 
 using namespace satsurf;
 using namespace satsurf::rpc;
@@ -46,6 +49,41 @@ void write_dfc_raster(const std::filesystem::path& path, float (*value)(Index ro
   for (Index i = 0; i < 400; ++i) values[static_cast<std::size_t>(i)] = value(i / 20, i % 20);
   REQUIRE(d->GetRasterBand(1)->RasterIO(GF_Write, 0, 0, 20, 20, values.data(), 20, 20, GDT_Float32,
                                         0, 0, nullptr) == CE_None);
+}
+
+constexpr Index kRows = 60, kColumns = 90;
+constexpr double kCell = 1e-4;  // degrees
+
+/// West and north of cells in degrees around the middle of the ground.
+std::array<double, 2> corner() {
+  const auto [lon, lat] = geodetic_from_utm(kZone, kEast + 100, kNorth + 100);
+  return {lon - kCell * kColumns / 2, lat + kCell * kRows / 2};
+}
+
+/// A raster of cells in degrees, as those of SRTM and Copernicus.
+void write_degrees(const std::filesystem::path& path, int epsg,
+                   float (*value)(Index row, Index column)) {
+  GDALAllRegister();
+  GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
+  const std::unique_ptr<GDALDataset> d(
+      driver->Create(path.c_str(), kColumns, kRows, 1, GDT_Float32, nullptr));
+  REQUIRE(d);
+  const auto [west, north] = corner();
+  std::array<double, 6> place{west, kCell, 0, north, 0, -kCell};
+  REQUIRE(d->SetGeoTransform(place.data()) == CE_None);
+  OGRSpatialReference crs;
+  REQUIRE(crs.importFromEPSG(epsg) == OGRERR_NONE);
+  REQUIRE(d->SetSpatialRef(&crs) == CE_None);
+  std::vector<float> values;
+  for (Index i = 0; i < kRows * kColumns; ++i) values.push_back(value(i / kColumns, i % kColumns));
+  REQUIRE(d->GetRasterBand(1)->RasterIO(GF_Write, 0, 0, kColumns, kRows, values.data(), kColumns,
+                                        kRows, GDT_Float32, 0, 0, nullptr) == CE_None);
+}
+
+/// A slope of 2 m a cell to the east and 0.9 m a cell to the north.
+double height_at(double lon, double lat) {
+  const auto [west, north] = corner();
+  return 100 + (2 * (lon - west) + 0.9 * (lat - north)) / kCell;
 }
 
 double geoid() {
@@ -126,6 +164,72 @@ TEST_CASE("a terrain's lowest and highest height, by what it says they are above
   CHECK(silent.either);
   CHECK(silent.heights.low == doctest::Approx(raised.heights.low));
   CHECK(silent.heights.high == 80);
+}
+
+TEST_CASE("terrain in degrees, of two axes and of three") {
+  const TempFolder folder("terrain_degrees");
+  const auto over = [&](int epsg, const std::array<double, 4>& ground) {
+    const auto path = folder / (std::to_string(epsg) + ".tif");
+    write_degrees(path, epsg, [](Index row, Index column) {
+      const auto [west, north] = corner();
+      return static_cast<float>(height_at(west + (static_cast<double>(column) + 0.5) * kCell,
+                                          north - (static_cast<double>(row) + 0.5) * kCell));
+    });
+    return Terrain(path).over(kZone, ground);
+  };
+  // lowest in the south-west, highest in the north-east, two cells beside the ground
+  constexpr double kRim = 2 * kCell * 111e3, kHalfCell = 1.46;  // m, the latter of height
+  const auto height = [](double east, double north) {
+    const auto [lon, lat] = geodetic_from_utm(kZone, east, north);
+    return height_at(lon, lat);
+  };
+  const TerrainHeights known = over(4979, kGround);
+  CHECK_FALSE(known.either);
+  CHECK(known.covered == 1);
+  CHECK(std::abs(known.heights.low - height(kGround[0] - kRim, kGround[1] - kRim)) < kHalfCell);
+  CHECK(std::abs(known.heights.high - height(kGround[2] + kRim, kGround[3] + kRim)) < kHalfCell);
+  // two axes do not say what the heights are above
+  const TerrainHeights silent = over(4326, kGround);
+  CHECK(silent.either);
+  CHECK(silent.covered == 1);
+  CHECK(std::abs(silent.heights.low - (known.heights.low + geoid())) < 0.02);
+  CHECK(silent.heights.high == known.heights.high);
+  // ground that is half beside it, in the east and in the south
+  const auto [west, north] = corner();
+  const auto side = utm_from_geodetic(kZone, west + kCell * kColumns, north - kCell * kRows / 2),
+             foot = utm_from_geodetic(kZone, west + kCell * kColumns / 2, north - kCell * kRows);
+  for (const auto& [x, y] : {side, foot}) {
+    const TerrainHeights half = over(4326, {x - 70, y - 70, x + 70, y + 70});
+    CHECK(half.covered == doctest::Approx(0.5).epsilon(0.01));
+  }
+}
+
+TEST_CASE("a mask in degrees has the value of the cell under every middle") {
+  const TempFolder folder("mask_degrees");
+  const auto value = [](Index row, Index column) {
+    return (3 * row + 7 * column) % 5 < 2 ? 4.0F : 0.0F;
+  };
+  write_degrees(folder / "water.tif", 4326, value);
+  const auto [west, north] = corner();
+  const auto [x, y] = utm_from_geodetic(kZone, west, north);
+  const GeoGrid grid{kZone.epsg(), std::round(x) - 50, std::round(y) + 30, 4};
+  constexpr Index H = 50, W = 80;
+  const Tensor here = GroundMask(folder / "water.tif").on(grid, H, W);
+  Index wrong = 0, masked = 0;
+  for (Index i = 0; i < H * W; ++i) {
+    const auto [lon, lat] =
+        geodetic_from_utm(kZone, grid.x0 + (static_cast<double>(i % W) + 0.5) * grid.step,
+                          grid.y0 - (static_cast<double>(i / W) + 0.5) * grid.step);
+    const double u = (lon - west) / kCell, v = (north - lat) / kCell;
+    // places are found to a hundredth of a cell
+    if (std::abs(u - std::round(u)) < 0.02 || std::abs(v - std::round(v)) < 0.02) continue;
+    const float wanted =
+        u > 0 && v > 0 && value(static_cast<Index>(v), static_cast<Index>(u)) > 0 ? 1.0F : 0.0F;
+    wrong += here[i] != wanted;
+    masked += wanted > 0;
+  }
+  CHECK(wrong == 0);
+  CHECK(masked > 1000);
 }
 
 TEST_CASE("a terrain says of how much ground it knows nothing") {

@@ -782,6 +782,51 @@ TEST_CASE("a reduced image has the image's values, whatever overviews there are"
     CHECK(small.pixels[i] == 0);  // the filling keeps its value
 }
 
+TEST_CASE("an image in high blocks, read some columns at a time, has its values in their places") {
+  const TempFolder folder("reduced_blocks");
+  constexpr Index H = 100, W = 400;
+  Tensor pixels({3, H, W});
+  Rng rng(6);
+  for (float& v : pixels.values()) v = std::floor(static_cast<float>(rng.uniform(1, 255)));
+  for (Index c = 0; c < 3; ++c)  // and a part without any, across the columns read first
+    for (Index y = 0; y < 30; ++y) std::fill_n(pixels.data() + (c * H + y) * W + 120, 90, 0.0F);
+  const auto file = folder / "blocks.tif";
+  {
+    write_rpc_geotiff(folder / "plain.tif", pixels, PixelType::uint8, test::synthetic_rpc());
+    const std::unique_ptr<GDALDataset> from(
+        GDALDataset::Open((folder / "plain.tif").c_str(), GDAL_OF_UPDATE));
+    REQUIRE(from);
+    for (int b = 1; b <= 3; ++b) REQUIRE(from->GetRasterBand(b)->SetNoDataValue(0) == CE_None);
+    // of which a row of 162 columns is all that is kept in memory
+    CPLStringList options;
+    for (const char* option : {"TILED=YES", "BLOCKXSIZE=16", "BLOCKYSIZE=65536", "COMPRESS=DEFLATE",
+                               "ZLEVEL=1", "INTERLEAVE=PIXEL"})
+      options.AddString(option);
+    const std::unique_ptr<GDALDataset> made(
+        GetGDALDriverManager()->GetDriverByName("GTiff")->CreateCopy(file.c_str(), from.get(), 0,
+                                                                     options, nullptr, nullptr));
+    REQUIRE(made);
+    int width = 0, height = 0;
+    made->GetRasterBand(1)->GetBlockSize(&width, &height);
+    REQUIRE(width == 16);
+    REQUIRE(height == 65536);
+  }
+  for (const Index factor : {2, 7}) {
+    CAPTURE(factor);
+    const Image small = open_reduced(find_view(file), factor);
+    const Index h = H / factor, w = W / factor;
+    REQUIRE(small.pixels.shape() == Shape{3, h, w});
+    Index wrong = 0;
+    for (Index c = 0; c < 3; ++c)
+      for (Index i = 0; i < h * w; ++i) {
+        const Index y = i / w * factor + factor / 2, x = i % w * factor + factor / 2;
+        wrong += small.pixels[c * h * w + i] != pixels[(c * H + y) * W + x];
+        wrong += (small.valid[i] > 0) != (y >= 30 || x < 120 || x >= 210);
+      }
+    CHECK(wrong == 0);
+  }
+}
+
 TEST_CASE("what is no pixel: nodata, NaN, alpha") {
   const TempFolder folder("valid");
   const auto path = folder / "v.tif";
@@ -852,6 +897,43 @@ TEST_CASE("files that are no rasters, in one line and in silence") {
   plain_tiff(folder / "c.tif", 2, 2, 1, GDT_CFloat32);
   CHECK(error_of<IoError>([&] { read_image(folder / "c.tif"); }) ==
         (folder / "c.tif").string() + ": pixels are complex (cfloat32), expected real numbers");
+}
+
+TEST_CASE("which bands are red, green and blue: as they say, else as Maxar delivers them") {
+  const TempFolder folder("rgb");
+  const auto path = folder / "v.tif";
+  using Channels = std::array<Index, 3>;
+  /// groups  of the file of metadata beside the image; none for no file
+  const auto rgb = [&](int bands, const std::vector<std::string>& groups,
+                       const std::vector<GDALColorInterp>& colours = {}) {
+    std::filesystem::remove(folder / "v.IMD");
+    std::filesystem::remove(folder / "v.tif.aux.xml");
+    plain_tiff(path, 4, 3, bands, GDT_UInt16);
+    std::string text = "version = \"28.4\";\n";
+    for (const std::string& group : groups)
+      text += "BEGIN_GROUP = " + group + "\n\tabsCalFactor = 9.2e-03;\nEND_GROUP = " + group + "\n";
+    if (!groups.empty()) write_bytes(folder / "v.IMD", text + "END;\n");
+    if (!colours.empty()) {
+      const std::unique_ptr<GDALDataset> d(GDALDataset::Open(path.c_str(), GDAL_OF_UPDATE));
+      REQUIRE(d);
+      for (std::size_t b = 0; b < colours.size(); ++b)
+        REQUIRE(d->GetRasterBand(static_cast<int>(b) + 1)->SetColorInterpretation(colours[b]) ==
+                CE_None);
+    }
+    return read_info(path).rgb_channels;
+  };
+  const std::vector<std::string> four{"BAND_B", "BAND_G", "BAND_R", "BAND_N"},
+      eight{"BAND_C", "BAND_B", "BAND_G", "BAND_Y", "BAND_R", "BAND_RE", "BAND_N", "BAND_N2"};
+  CHECK(rgb(4, four) == Channels{2, 1, 0});
+  CHECK(rgb(8, eight) == Channels{4, 2, 1});
+  CHECK(rgb(4, {}) == Channels{0, 1, 2});
+  CHECK(rgb(8, {}) == Channels{0, 1, 2});
+  CHECK(rgb(4, {"BAND_P"}) == Channels{0, 1, 2});
+  CHECK(rgb(3, four) == Channels{0, 1, 2});  // three of them, nobody knows which
+  const auto red = GCI_RedBand, green = GCI_GreenBand, blue = GCI_BlueBand, none = GCI_Undefined;
+  CHECK(rgb(3, {}, {blue, green, red}) == Channels{2, 1, 0});
+  CHECK(rgb(4, four, {green, red, none, blue}) == Channels{1, 0, 3});
+  CHECK(rgb(4, four, {green, red, none, none}) == Channels{2, 1, 0});  // not all of them said
 }
 
 TEST_CASE("colours for the network") {

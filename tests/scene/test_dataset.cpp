@@ -317,6 +317,44 @@ TEST_CASE("a Sat-NeRF folder holds the same scene as Track3 files") {
   }
 }
 
+TEST_CASE("the folders of EOGS hold the same scene, with the cameras of their JSON files") {
+  namespace fs = std::filesystem;
+  const TempFolder folder("dataset-eogs");
+  write_scene(simulate_scene(small_scene(), 3, 0), folder / "track", "SIM_001");
+  const Scene known = load_scene(folder / "track", "SIM_001");
+  const fs::path data = folder / "eogs";
+  for (const char* kind : {"images", "truth", "rpcs"}) fs::create_directories(data / kind);
+  fs::rename(folder / "track" / "Track3-RGB", data / "images" / "SIM_001");
+  fs::rename(folder / "track" / "Track3-Truth", data / "truth" / "SIM_001");
+  fs::create_directories(data / "rpcs" / "SIM_001");
+  fs::create_directories(data / "images" / "SIM_002");
+  write_bytes(data / "images" / "notes.txt", "no scene");
+  for (std::size_t i = 0; i + 1 < known.views.size(); ++i) {  // the last has its own alone
+    View moved = known.views[i];
+    moved.rpc = moved.rpc.cropped(2, 0);
+    write_bytes(data / "rpcs" / "SIM_001" / (moved.name + ".json"),
+                satnerf_json(moved, moved.name + ".tif", -20, 60));
+  }
+  CHECK(list_scenes(data) == std::vector<std::string>{"SIM_001", "SIM_002"});
+  const Scene scene = load_scene(data, "SIM_001");
+  CHECK(scene.truth_file == data / "truth" / "SIM_001" / "SIM_001_DSM.tif");
+  REQUIRE(scene.truth.has_value());
+  CHECK(same_values(scene.truth->z, known.truth->z));
+  CHECK(same_values(scene.classes, known.classes));
+  CHECK(scene.frame == known.frame);
+  CHECK(scene.z_range == known.z_range);
+  REQUIRE(scene.views.size() == known.views.size());
+  const rpc::Geodetic g = known.frame.geodetic_from_local({3, -4, 1});
+  for (std::size_t i = 0; i < known.views.size(); ++i) {
+    CAPTURE(i);
+    CHECK(scene.views[i].name == known.views[i].name);
+    CHECK(same_values(scene.views[i].rgb, known.views[i].rgb));
+    const rpc::Pixel a = scene.views[i].rpc.project(g), b = known.views[i].rpc.project(g);
+    const double shift = i + 1 < known.views.size() ? 2 : 0;
+    CHECK(std::hypot(a.x + shift - b.x, a.y - b.y) < 1e-9);
+  }
+}
+
 TEST_CASE("broken Sat-NeRF folders are refused by name") {
   const TempFolder folder("dataset-6");
   write_scene(simulate_scene(small_scene(), 3, 0), folder / "track", "SIM_001");

@@ -4,6 +4,7 @@
 #include "satsurf/scene/height_range.h"
 #include "satsurf/scene/simulate/scene.h"
 
+#include <algorithm>
 #include <cmath>
 #include <string>
 
@@ -56,6 +57,14 @@ GivenSurface tower_amid_houses() {
   return s;
 }
 
+/// What may stand out of what is found: 15 m, and a quarter of the span, below it 15 m at most.
+void check_margins(const FoundHeights& heights) {
+  const auto& [agreed, found] = heights;
+  const double relief = 0.25 * agreed.span();
+  CHECK(found.low == doctest::Approx(agreed.low - 15 - std::min(relief, 15.0)));
+  CHECK(found.high == doctest::Approx(agreed.high + 15 + relief));
+}
+
 }  // namespace
 
 TEST_CASE("the height range of a scene is found by comparing its images") {
@@ -65,14 +74,16 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
   const SimulatedScene made = simulate_scene(config, 11, 0);
   Scene scene = images_of(made);
   const double low = made.h_min - made.frame.h0, high = made.h_max - made.frame.h0;
-  const auto [agreed, found] = find_height_range(scene, {low - 300, high + 300});
+  const FoundHeights heights = find_height_range(scene, {low - 300, high + 300});
+  const auto& [agreed, found] = heights;
   CHECK(agreed.low > low - 5);
   CHECK(agreed.high < high + 5);
   CHECK(agreed.span() > 0.3 * (high - low));
   // percentiles may miss the deepest corner, the margin covers most of it
   CHECK(found.low < low + 8);
-  CHECK(found.high > low);
+  CHECK(found.high > high - 8);
   CHECK(found.span() < high - low + 80);
+  check_margins(heights);
   CHECK_THROWS_AS(find_height_range(scene, {high + 400, high + 700}), Error);
   struct Stop {};
   CHECK_THROWS_AS(find_height_range(scene, {low, high}, [] { throw Stop{}; }), Stop);
@@ -93,9 +104,11 @@ TEST_CASE("the height range of a scene is found by comparing its images") {
   with_another.views.push_back(scene.views[1]);
   Tensor& other = with_another.views.back().rgb = Tensor({3, kSide, kSide});
   for (Index i = 0; i < other.count(); ++i) other[i] = static_cast<float>(i * 7919 % 1009) / 1009;
-  const rpc::HeightRange still = find_height_range(with_another, {low - 300, high + 300}).range;
-  CHECK(still.low < low + 8);
-  CHECK(still.span() < high - low + 80);
+  const FoundHeights still = find_height_range(with_another, {low - 300, high + 300});
+  CHECK(still.range.low < low + 8);
+  CHECK(still.range.high > high - 8);
+  CHECK(still.range.span() < high - low + 80);
+  check_margins(still);
   for (Index i = 0; i < scene.views[1].rgb.count(); ++i)  // smooth, but not of one grey
     scene.views[1].rgb[i] = 0.3f + 0.1f * static_cast<float>(i % kSide) / kSide;
   CHECK_THROWS_WITH_AS(find_height_range(scene, {low, high}),
@@ -112,7 +125,11 @@ TEST_CASE("a single tower is found, also where the first image does not show it"
   const double ground = static_cast<double>(kGround) - made.frame.h0,
                tower = static_cast<double>(kTower) - made.frame.h0;
   const rpc::HeightRange searched{ground - 300, ground + 450};
-  const auto highest = [&] { return find_height_range(scene, searched).agreed.high; };
+  const auto highest = [&] {
+    const FoundHeights heights = find_height_range(scene, searched);
+    check_margins(heights);
+    return heights.agreed.high;
+  };
   CHECK(std::abs(highest() - tower) < 8);
   // as if a cloud lay on it
   const Tensor& z = made.views[0].height;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "tests/gradcheck.h"
+#include "tests/isa_variants.h"
 #include "tests/ref/splat_ref.h"
 
 namespace satsurf::test {
@@ -89,8 +90,7 @@ TEST_CASE(
     const auto camera = project(s.means.value(), oblique_camera(0, 0));
     const auto want = splat_reference(s, camera, o);
     const BasicTensor<float> g({kMaps + K, height, width}, 1.f);
-    for (const Isa isa : kAllIsas) {
-      if (!isa_available(isa)) continue;
+    for (const Isa isa : tested_isas()) {
       CAPTURE(isa_name(isa));
       CAPTURE(P);
       const auto got = draw(isa, s, camera, o, g);
@@ -148,13 +148,11 @@ TEST_CASE("rasterize in float and double, every instruction set: one gradient") 
       CHECK(off <= outliers);
     }
   };
-  for (const Isa isa : kAllIsas) {
-    if (!isa_available(isa)) continue;
+  for (const Isa isa : tested_isas()) {
     CAPTURE(isa_name(isa));
     compare(draw(isa, wide, camera, o, g).grads, 1e-10, 0);
   }
-  for (const Isa isa : kAllIsas) {
-    if (!isa_available(isa)) continue;
+  for (const Isa isa : tested_isas()) {
     CAPTURE(isa_name(isa));
     // A contribution at the edge of a cutoff may be in or out: a few elements may differ more.
     compare(draw(isa, s, narrow, o, g.cast<float>()).grads, 1e-3, 10);

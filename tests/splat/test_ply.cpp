@@ -278,6 +278,19 @@ TEST_CASE("ply: files are joined if every surfel of theirs can be read") {
   two.write(bytes.substr(0, bytes.size() - 16) + std::string(16, '\0'));
   CHECK(test::error_of<IoError>([&] { splat::join_ply(all, {two.path}, {}); }) ==
         front + "the length of the quaternion of vertex 39999 is 0, expected a rotation");
+  // as long and as finite as they should be, but with other numbers in the same places
+  std::string turned = one.bytes();
+  const std::size_t rot = turned.find("rot_1\nproperty float rot_2\n");
+  REQUIRE(rot != std::string::npos);
+  turned[rot + 4] = '2', turned[rot + 25] = '1';
+  two.write(turned);
+  CHECK(splat::read_ply(two.path).surfels.means.dim(0) == 3);
+  for (const bool two_scales : {false, true}) {
+    if (two_scales) splat::write_ply(two.path, random_surfels<float>(17, 0, 9, 9, 2), {}, true);
+    CHECK(test::error_of<IoError>([&] {
+            splat::join_ply(all, {one.path, two.path}, {});
+          }) == front + "other properties, expected those that write_ply writes");
+  }
   CHECK(names() == std::vector<fs::path>{"all.ply"});
   CHECK(read_bytes(all) == before);
   fs::create_directory(folder / "taken");

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/nn/adamw.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/scene/dataset.h"
 #include "satsurf/scene/simulate/scene.h"
+#include "satsurf/train/loss.h"
 #include "satsurf/train/trainer.h"
 
 #include <algorithm>
+#include <vector>
 
 #include "tests/temp_folder.h"
 #include "tests/train/train_in_folder.h"
@@ -97,6 +100,48 @@ TEST_CASE("training on own samples starts from the model given, stops when told 
   CHECK(same(second, whole));
   const std::string journal = read_bytes(out / "run" / "train.jsonl");
   CHECK(std::ranges::count(journal, '\n') == 4);
+}
+
+TEST_CASE("a run takes AdamW's steps, with the rate, the clip and the decay of its settings") {
+  const Data data;
+  TrainConfig config = tiny(10);
+  config.warmup = 0.3, config.clip = 0.5, config.weight_decay = 0.2;
+  const auto sample = [&](Index step) { return training_sample(config, data.scenes, 4, step); };
+  const auto rate = [&](Index step) {
+    return config.schedule == Schedule::constant && step >= 3
+               ? config.lr
+               : nn::one_cycle_lr(config.lr, 0.3, step, 10);
+  };
+  for (const Schedule schedule : {Schedule::one_cycle, Schedule::constant}) {
+    config.schedule = schedule;
+    std::vector<double> rates, norms;
+    TrainingCallbacks callbacks;
+    callbacks.step = [&](const StepReport& r) {
+      rates.push_back(r.lr), norms.push_back(r.grad_norm);
+      return true;
+    };
+    nn::Model trained(config.model, 1), by_hand(config.model, 1);
+    train_on_samples(trained, config, sample, {.seed = 4}, callbacks);
+
+    nn::AdamW optimiser(by_hand.parameters(), {.weight_decay = config.weight_decay});
+    REQUIRE(rates.size() == 10);
+    for (Index step = 0; step < 10; ++step) {
+      CAPTURE(step);
+      by_hand.parameters().clear_grads();
+      const Crop crop = sample(step);
+      const auto stages =
+          by_hand.forward(crop.input, {}, nullptr, wanted_by(config, crop.target.has_value()));
+      training_loss(config, config.model, stages, crop, {.step = step, .seed = 4}).total.backward();
+      const auto at = static_cast<std::size_t>(step);
+      CHECK(norms[at] == nn::clip_gradient_norm(by_hand.parameters(), config.clip));
+      CHECK(norms[at] > 2 * config.clip);  // else clipping would not show
+      CHECK(rates[at] == rate(step));
+      optimiser.step(rate(step));
+    }
+    CHECK(same(trained, by_hand));
+    CHECK(rates[0] < rates[3] / 20);
+    CHECK((rates[9] < rates[3] / 1000) == (schedule == Schedule::one_cycle));
+  }
 }
 
 TEST_CASE("the record of own samples tells the network that was trained") {
