@@ -13,8 +13,6 @@
 namespace satsurf::nn {
 namespace {
 
-constexpr Index kModeRadius = 2;  // hypotheses on either side of the most probable one
-
 /// The heights of the stage before at this stage's size.
 template <class T>
 StageHeights<T> interpolated(const StageHeights<T>& previous, const StageGrid& grid) {

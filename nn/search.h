@@ -13,6 +13,9 @@
 
 namespace satsurf::nn {
 
+/// Hypotheses on either side of the most probable one, of which a mode's height is the mean.
+inline constexpr Index kModeRadius = 2;
+
 /// What a stage searches with.
 template <class T>
 struct SearchInput {

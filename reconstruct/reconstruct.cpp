@@ -244,7 +244,7 @@ FusedSurface refined(const nn::SurfaceModel& network, const nn::SurfaceInput& in
   const float *sure = plane(nn::SurfacePlane::confidence),
               *share = plane(nn::SurfacePlane::mode_share), *views = plane(nn::SurfacePlane::views);
   for (Index i = 0; i < P; ++i) {
-    if (views[i] < 0.5f) out.heights[i] = sigma[i] = std::nanf("");  // quarters of their number
+    if (views[i] < nn::kViewsOfTwo) out.heights[i] = sigma[i] = std::nanf("");
     out.confidence[i] = std::isfinite(out.heights[i]) ? sure[i] * share[i] : std::nanf("");
   }
   return out;

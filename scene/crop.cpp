@@ -213,6 +213,52 @@ Crop make_crop(const Scene& scene, const CropOptions& options) {
   return crop;
 }
 
+namespace {
+
+/// Whether an image has a pixel there.
+bool holds(const nn::PosedImage& image, const std::array<double, 2>& pixel) {
+  const Index H = image.valid.dim(0), W = image.valid.dim(1);
+  const double x = std::floor(pixel[0] + 0.5), y = std::floor(pixel[1] + 0.5);
+  return x >= 0 && y >= 0 && x < static_cast<double>(W) && y < static_cast<double>(H) &&
+         image.valid[static_cast<Index>(y) * W + static_cast<Index>(x)] > 0;
+}
+
+/// Whether water stands at a place, local m.
+bool is_water(const Scene& scene, const std::array<double, 2>& ground) {
+  if (scene.classes.empty()) return false;
+  const HeightField& grid = *scene.truth;
+  const double column = std::floor((ground[0] - grid.x0) / grid.step),
+               row = std::floor((grid.y0 - ground[1]) / grid.step);
+  const Index H = scene.classes.dim(0), W = scene.classes.dim(1);
+  return column >= 0 && row >= 0 && column < static_cast<double>(W) &&
+         row < static_cast<double>(H) &&
+         scene.classes[static_cast<Index>(row) * W + static_cast<Index>(column)] == kWater;
+}
+
+}  // namespace
+
+void forget_untold_truth(Crop& crop, const Scene& scene) {
+  const std::vector<nn::PosedImage>& images = crop.input.sources;
+  for (std::vector<Tensor>& stage : crop.source_truth)
+    for_each_index(std::ssize(images), [&](Index n) {
+      const auto i = static_cast<std::size_t>(n);
+      Tensor& z = stage[i];
+      const Index W = z.dim(1);
+      const double stride = static_cast<double>(images[i].valid.dim(1)) / static_cast<double>(W);
+      for (Index p = 0; p < z.count(); ++p) {
+        if (!std::isfinite(z[p])) continue;
+        const double x = (static_cast<double>(p % W) + 0.5) * stride - 0.5,
+                     y = (static_cast<double>(p / W) + 0.5) * stride - 0.5,
+                     height = static_cast<double>(z[p]);
+        bool told = false;
+        for (std::size_t j = 0; j < images.size() && !told; ++j)
+          told = j != i && holds(images[j], crop.input.transfer[i][j](x, y, height));
+        if (!told || is_water(scene, images[i].local_from_pixel(x, y, height)))
+          z[p] = std::nanf("");
+      }
+    });
+}
+
 nn::PosedImage posed_image(const View& view, const rpc::LocalFrame& frame,
                            const rpc::HeightRange& z_range) {
   const rpc::Window whole{0, 0, static_cast<double>(view.width()),

@@ -83,6 +83,13 @@ Crop make_crop(const Scene& scene, const CropOptions& options);
 /// returns  the share of all source pixels that have an image and a known height
 double forget_unseen_truth(Crop& crop);
 
+inline constexpr float kWater = 9;  ///< its class
+
+/// Makes true heights of sources unknown that their images do not tell: of points that no other
+/// source's window holds, and of water, which looks otherwise in each.
+/// scene  that the windows are of, with the classes if they are known
+void forget_untold_truth(Crop& crop, const Scene& scene);
+
 /// A view as one window, with its camera fitted over the whole image.
 /// frame    of the result
 /// z_range  heights over which it is fitted, local m

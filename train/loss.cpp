@@ -2,6 +2,7 @@
 #include "satsurf/train/loss.h"
 
 #include "satsurf/core/rng.h"
+#include "satsurf/nn/search.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/ops/height_cross_entropy.h"
 #include "satsurf/ops/loss.h"
@@ -72,6 +73,22 @@ Tensor source_pixels(const std::vector<nn::PosedImage>& views, Index stride) {
   return out;
 }
 
+/// Takes pixels out whose height lies on another surface than the true one, by more than the
+/// hypotheses that a mode is the mean of: their weights would only be moved to that side of the wrong
+/// mode on which the true height lies.
+/// weight  [N h w] of the pixels
+void keep_at_surface(Tensor& weight, const nn::StageOutput<float>& stage, const Tensor& truth) {
+  const Index D = stage.hypotheses.dim(1), P = weight.dim(1) * weight.dim(2);
+  if (D < 2) return;
+  const Tensor& height = stage.height.value();
+  for (Index i = 0; i < weight.count(); ++i) {
+    const float* first = stage.hypotheses.data() + i / P * D * P + i % P;
+    const float spacing = std::abs(first[(D - 1) * P] - first[0]) / static_cast<float>(D - 1);
+    if (!(std::abs(height[i] - truth[i]) <= static_cast<float>(nn::kModeRadius) * spacing))
+      weight[i] = 0;
+  }
+}
+
 /// What the terms of one stage have in common.
 struct StageLoss {
   const LossConfig& config;
@@ -121,14 +138,17 @@ struct StageLoss {
   double add_heights(Var& total, double weight) const {
     const Target truth = height_target(crop.source_truth[index]);
     const bool searches = !stage.probability.empty();
-    if (config.height_weight > 0)
-      add_term(total,
-               smooth_l1(stage.height, truth.value,
-                         config.height_in_reach && searches
-                             ? within_hypotheses(stage.hypotheses, truth.value, truth.weight)
-                             : truth.weight,
-                         static_cast<float>(config.height_beta)),
-               weight * config.height_weight);
+    if (config.height_weight > 0) {
+      Tensor teaching = truth.weight;
+      if (config.height_in_reach && searches) {
+        teaching = within_hypotheses(stage.hypotheses, truth.value, truth.weight);
+        if (model.height == nn::HeightOf::mode) keep_at_surface(teaching, stage, truth.value);
+      }
+      add_term(
+          total,
+          smooth_l1(stage.height, truth.value, teaching, static_cast<float>(config.height_beta)),
+          weight * config.height_weight);
+    }
     if (config.distribution_weight > 0 && searches)
       add_term(total,
                height_cross_entropy(stage.probability, stage.hypotheses, truth.value, truth.weight),

@@ -31,8 +31,9 @@ struct LossConfig {
   std::array<double, 3> stage_weight{0.5, 1, 2};  ///< of the stages' losses, coarse to fine
   double height_weight = 1;                       ///< smooth-L1 of the stage heights, per metre
   double height_beta = 1;                         ///< its transition, m
-  double distribution_weight = 0;     ///< cross-entropy of the stage's distribution of heights
-  bool height_in_reach = false;       ///< no smooth-L1 where a stage does not search at the truth
+  double distribution_weight = 0;  ///< cross-entropy of the stage's distribution of heights
+  /// No smooth-L1 where a stage does not search at the truth, nor where a mode is on another surface.
+  bool height_in_reach = false;
   double render_height_weight = 0.1;  ///< smooth-L1 of the height rendered in the target
   double geo_weight = 0.01;           ///< patch-wise Pearson losses of the stage heights
   GeoTarget geo_target = GeoTarget::mono;
@@ -54,7 +55,8 @@ struct LossConfig {
     v("distribution_weight", s.distribution_weight,
       Field{.help = "weight of the cross-entropy of a stage's distribution of heights", .min = 0});
     v("height_in_reach", s.height_in_reach,
-      Field{.help = "take the height loss only where the truth lies within what a stage searches"});
+      Field{.help = "take the height loss only where the truth lies within what a stage searches "
+                    "and, of modes, near the height found"});
     v("render_height_weight", s.render_height_weight,
       Field{.help = "weight of the rendered target's height loss", .unit = "1/m", .min = 0});
     v("geo_weight", s.geo_weight,

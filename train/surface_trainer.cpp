@@ -27,7 +27,6 @@ namespace fs = std::filesystem;
 /// What is true of every cell of a grid, and whether it counts: known, and no water.
 void add_truth(const scene::Scene& scene, const reconstruct::UnrefinedSurface& made,
                SurfaceLesson& lesson) {
-  constexpr float kWater = 9;
   const scene::HeightField& truth = *scene.truth;
   const Index H = made.input.planes.dim(1), W = made.input.planes.dim(2);
   lesson.truth = Tensor({H, W}), lesson.weight = Tensor({H, W});
@@ -40,7 +39,7 @@ void add_truth(const scene::Scene& scene, const reconstruct::UnrefinedSurface& m
       if (row < 0 || col < 0 || row >= truth.z.dim(0) || col >= truth.z.dim(1)) continue;
       const Index k = row * truth.z.dim(1) + col;
       if (!std::isfinite(truth.z[k])) continue;
-      if (!scene.classes.empty() && scene.classes[k] == kWater) continue;
+      if (!scene.classes.empty() && scene.classes[k] == scene::kWater) continue;
       lesson.truth[i * W + j] = truth.z[k];
       lesson.weight[i * W + j] = 1;
     }
@@ -147,8 +146,9 @@ StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& 
   const Index P = lesson.truth.count();
   Tensor weight = lesson.weight.clone();
   const Tensor& candidates = lesson.input.candidates;
-  for (Index i = 0; i < P; ++i)
-    if (!nn::has_candidate(candidates, i)) weight[i] = 0;
+  const float* views = lesson.input.planes.data() + static_cast<Index>(nn::SurfacePlane::views) * P;
+  for (Index i = 0; i < P; ++i)  // no more than what becomes a surface
+    if (!nn::has_candidate(candidates, i) || views[i] < nn::kViewsOfTwo) weight[i] = 0;
   const Var height = chosen_height(out.logits, out.residual, candidates, nn::kSurfaceReach * unit);
   // The likelihood pulls a height the harder the surer the network is: the last centimetres of level
   // ground would drown what is ten metres off. So it teaches the expected error alone.

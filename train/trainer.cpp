@@ -108,7 +108,9 @@ scene::Crop cut_sample(const TrainConfig& config, const DrawScene& draw, std::ui
                                     .size = {config.crop, config.crop},
                                     .z_range = {low, high},
                                     .with_truth = true});
-    if (scene::forget_unseen_truth(crop) >= kEnough) break;
+    const double known = scene::forget_unseen_truth(crop);
+    scene::forget_untold_truth(crop, scene);
+    if (known >= kEnough) break;
   }
   const Radiometry radiometry = random_radiometry(config.radiometry, config.grey_share, rng);
   for (nn::PosedImage& v : crop.input.sources) apply(radiometry, v);

@@ -225,6 +225,57 @@ TEST_CASE("pixels outside an image are invalid") {
   CHECK(crop.source_truth.empty());
 }
 
+TEST_CASE("heights that no other image shows, and those of water, are no true heights to find") {
+  const TempFolder folder("dataset-7");
+  write_scene(simulate_scene(small_scene(), 5, 0), folder.path(), "SIM_001");
+  Scene scene = load_scene(folder.path(), "SIM_001");
+  REQUIRE(!scene.classes.empty());
+  const HeightField& truth = *scene.truth;
+  for (Index i = 0; i < scene.classes.count(); ++i)  // the north-west of everything
+    if (i % truth.z.dim(1) < truth.z.dim(1) / 2 && i / truth.z.dim(1) < truth.z.dim(0) / 2)
+      scene.classes[i] = kWater;
+  const auto cut = [&] {
+    return make_crop(
+        scene,
+        {.sources = {0, 1, 2}, .size = {64, 96}, .z_range = scene.z_range, .with_truth = true});
+  };
+  const Crop before = cut();
+  Crop after = cut();
+  forget_untold_truth(after, scene);
+  Index wet = 0, alone = 0, left = 0, unlike = 0;
+  for (std::size_t s = 0; s < 3; ++s)
+    for (std::size_t i = 0; i < 3; ++i) {
+      const nn::PosedImage& image = before.input.sources[i];
+      const Tensor &was = before.source_truth[s][i], &is = after.source_truth[s][i];
+      const double stride = 96.0 / static_cast<double>(was.dim(1));
+      for (Index p = 0; p < was.count(); ++p) {
+        if (!std::isfinite(was[p])) continue;
+        const auto z = static_cast<double>(was[p]);
+        const auto at =
+            image.local_from_pixel((static_cast<double>(p % was.dim(1)) + 0.5) * stride - 0.5,
+                                   (static_cast<double>(p / was.dim(1)) + 0.5) * stride - 0.5, z);
+        const bool in_water =
+            at[0] < truth.x0 + truth.step * static_cast<double>(truth.z.dim(1) / 2) &&
+            at[1] > truth.y0 - truth.step * static_cast<double>(truth.z.dim(0) / 2);
+        bool shown = false;
+        for (std::size_t j = 0; j < 3; ++j) {
+          if (j == i) continue;
+          const nn::PosedImage& other = before.input.sources[j];
+          const auto q = other.pixel_from_local(at[0], at[1], z);
+          const auto x = std::lround(q[0]), y = std::lround(q[1]);
+          shown |= x >= 0 && y >= 0 && x < 96 && y < 64 && other.valid[y * 96 + x] > 0;
+        }
+        (in_water ? wet : shown ? left : alone) += 1;
+        unlike += std::isfinite(is[p]) != (shown && !in_water);
+      }
+    }
+  CHECK(wet > 100);
+  CHECK(alone > 100);
+  CHECK(left > 1000);
+  CHECK(unlike <
+        (wet + alone + left) / 200);  // cameras are fitted: a pixel at a rim may fall either way
+}
+
 TEST_CASE("a camera that sees the middle of a crop nowhere near its image is named") {
   Scene scene;
   scene.views = {test::view_from("a", -0.3), test::view_from("b", 0.3)};

@@ -192,6 +192,38 @@ TEST_CASE("the loss of the distribution, and of heights within reach") {
   CHECK(far_loss(in_reach) == 0);
 }
 
+TEST_CASE("a mode on another surface is not drawn to the true one") {
+  const Crop crop = hill();
+  nn::ModelConfig config = nn::model_preset("tiny");
+  config.height = nn::HeightOf::mode;
+  auto stages = nn::Model(config, 2).forward(crop.input);
+  nn::StageOutput<float>& last = stages[2];
+  const Index D = last.hypotheses.dim(1), P = last.height.dim(1) * last.height.dim(2);
+  LossConfig loss = silent();
+  loss.height_weight = 1, loss.height_in_reach = true;
+  // Found heights lie a share of the spacing beside true ones, which are in the middle of the search.
+  const auto loss_at = [&](float spacings) {
+    Crop told = crop;
+    Tensor height(last.height.shape());
+    for (Index i = 0; i < height.count(); ++i) {
+      const float* h = last.hypotheses.data() + i / P * D * P + i % P;
+      const float spacing = (h[(D - 1) * P] - h[0]) / static_cast<float>(D - 1);
+      const float truth = (h[0] + h[(D - 1) * P]) / 2;
+      told.source_truth[2][static_cast<std::size_t>(i / P)][i % P] = truth;
+      height[i] = truth + spacings * spacing;
+    }
+    last.height = Var(height);
+    return static_cast<double>(training_loss(loss, config, stages, told).total.value().item());
+  };
+  CHECK(loss_at(0) == doctest::Approx(0));
+  CHECK(loss_at(1.9F) > 0);
+  CHECK(loss_at(-1.9F) == doctest::Approx(loss_at(1.9F)).epsilon(1e-3));
+  CHECK(loss_at(2.1F) == 0);
+  CHECK(loss_at(-3) == 0);
+  loss.height_in_reach = false;
+  CHECK(loss_at(2.1F) > loss_at(1.9F));
+}
+
 TEST_CASE("appearance learns from confident pixels, from all while it warms up") {
   Made made;
   LossConfig routed = silent();

@@ -67,6 +67,8 @@ SurfaceLesson made_up(Index S) {
     lesson.input.planes[P + i] = second ? 0.f : 1.f;
     lesson.truth[i] = (second ? 6.f : 0.f) + 0.1f * static_cast<float>(rng.normal());
   }
+  std::fill_n(lesson.input.planes.data() + static_cast<Index>(nn::SurfacePlane::views) * P, P,
+              0.75F);
   lesson.weight[3] = 0, lesson.truth[3] = std::nanf("");
   return lesson;
 }
@@ -125,6 +127,24 @@ TEST_CASE("the surface network learns which candidate the images agree about") {
   const double after = surface_loss(config, network, lesson).terms[0].second;
   CHECK(before > 1);
   CHECK(after < 0.5);
+}
+
+TEST_CASE("cells that fewer than two images show teach nothing") {
+  const SurfaceTrainConfig config = tiny(1);
+  const nn::SurfaceModel network(config.surface, 2);
+  SurfaceLesson lesson = made_up(32);
+  const Index P = lesson.truth.count();
+  float* views = lesson.input.planes.data() + static_cast<Index>(nn::SurfacePlane::views) * P;
+  const auto total = [&] {
+    return static_cast<double>(surface_loss(config, network, lesson).total.value().item());
+  };
+  std::fill_n(views, P, 0.5F);
+  for (Index i = 0; i < P / 2; ++i) views[i] = 0.25F;
+  const double before = total();
+  for (Index i = 0; i < P / 2; ++i) lesson.truth[i] += 100;
+  CHECK(total() == before);
+  lesson.truth[P - 1] += 100;
+  CHECK(total() > before);
 }
 
 TEST_CASE("half of the lessons have the cells that reconstructions have by default") {
