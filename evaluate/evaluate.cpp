@@ -195,6 +195,9 @@ SceneScores evaluate_scene(const nn::Model& model, const scene::Scene& scene,
   const auto start = std::chrono::steady_clock::now();
   reconstruct::ReconstructOptions how;
   how.resolution = scene.truth->step;
+  // the truth's own cells: those that lie across them would be halfway between roof and ground at walls
+  how.cell_corner = {scene.truth->x0 + scene.frame.easting0,
+                     scene.truth->y0 + scene.frame.northing0};
   how.surface = options.surface;
   how.network = options.network;
   if (options.meshes) how.mesh = 0;

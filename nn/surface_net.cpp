@@ -27,6 +27,9 @@ constexpr Index kMultiple = 16;
 /// Mirrored east to west, north to south, and both: four of the eight symmetries give four fifths of
 /// what all of them do.
 constexpr Index kOrientations = 4;
+/// What the mean of their logits is multiplied with: a mean of answers is less sure than they are, and
+/// a mean of candidates lies between them.
+constexpr float kSharper = 1.25F;
 
 /// A height of any size as a number of order 1: differences of noise and those of towers both tell.
 double squeezed(double z) { return 0.5 * std::asinh(z); }
@@ -162,7 +165,8 @@ RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
     if (mean.empty()) mean = Tensor(one.shape());
     for_each_index(mean.dim(1), [&](Index c) {
       const Index n = mean.count() / mean.dim(1);
-      for (Index i = c * n; i < (c + 1) * n; ++i) mean[i] += one[i] / float{kOrientations};
+      const float share = (c < kSurfaceCandidates ? kSharper : 1) / float{kOrientations};
+      for (Index i = c * n; i < (c + 1) * n; ++i) mean[i] += share * one[i];
     });
   }
   const SurfaceOutput<float> out =

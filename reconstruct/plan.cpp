@@ -74,7 +74,8 @@ scene::Polygon common_outline(const scene::Scene& scene) {
 
 Ground common_ground(const scene::Scene& scene) { return scene::bounds_of(common_outline(scene)); }
 
-Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step) {
+Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step,
+             const std::array<double, 2>& corner) {
   const double columns = ground.width() / step, rows = ground.height() / step;
   if (!(step > 0 && columns < kMostCells && rows < kMostCells)) {
     std::ostringstream text;
@@ -84,8 +85,9 @@ Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step) {
   }
   Grid grid;
   grid.step = step;
-  grid.east = std::floor((ground.x0 + frame.easting0) / step) * step - frame.easting0;
-  grid.north = std::ceil((ground.y1 + frame.northing0) / step) * step - frame.northing0;
+  const double east = frame.easting0 - corner[0], north = frame.northing0 - corner[1];
+  grid.east = std::floor((ground.x0 + east) / step) * step - east;
+  grid.north = std::ceil((ground.y1 + north) / step) * step - north;
   grid.width = std::max<Index>(1, static_cast<Index>(std::ceil((ground.x1 - grid.east) / step)));
   grid.height = std::max<Index>(1, static_cast<Index>(std::ceil((grid.north - ground.y0) / step)));
   return grid;
@@ -221,7 +223,7 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   }
 
   const double step = options.resolution > 0 ? options.resolution : natural_step(footprint);
-  const Grid grid = options.grid.value_or(grid_of(ground, scene.frame, step));
+  const Grid grid = options.grid.value_or(grid_of(ground, scene.frame, step, options.cell_corner));
   plan.east = grid.east, plan.north = grid.north, plan.step = grid.step;
   plan.height = grid.height, plan.width = grid.width;
   if (options.mesh)

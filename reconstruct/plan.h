@@ -62,6 +62,8 @@ struct ReconstructOptions {
   Surface surface = Surface::automatic;
   const nn::SurfaceModel* network = nullptr;  ///< that refines; none for the other kinds
   double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
+  /// Easting and northing from which the cells of the views' common ground are whole cells away, m.
+  std::array<double, 2> cell_corner{};
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;
   /// The cells to make, in windows of this size; none: those of the views' common ground.
@@ -132,9 +134,12 @@ WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surfa
 scene::Polygon common_outline(const scene::Scene& scene);
 /// The bounds of that.
 Ground common_ground(const scene::Scene& scene);
-/// The cells of a ground: they start at a whole multiple of their side, so that runs over one place share them.
+/// The cells of a ground: they start a whole multiple of their side away from a corner, by default the
+/// zone's origin, so that runs over one place share them.
+/// corner  easting and northing, m
 /// throws  Error for 2^31 cells a side or more
-Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step);
+Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step,
+             const std::array<double, 2>& corner = {});
 /// The side of a cell that suits pixels of this size on the ground, m, a multiple of 0.05.
 double natural_step(double footprint);
 

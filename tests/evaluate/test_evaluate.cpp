@@ -120,6 +120,11 @@ Tensor around(const HeightField& field, double x, double y, double radius) {
   return mask;
 }
 
+/// Of the truth's cells, easting and northing.
+std::array<double, 2> corner_of(const Scene& scene) {
+  return {scene.truth->x0 + scene.frame.easting0, scene.truth->y0 + scene.frame.northing0};
+}
+
 /// The true cells that two of the first three views see and that are no water.
 Tensor scored_cells(const Scene& scene) {
   std::vector<ImageCamera> cameras;
@@ -496,7 +501,7 @@ TEST_CASE("a scene's scores") {
     Scene seen = scene;
     seen.views.resize(3);
     reconstruct::ReconstructOptions how;
-    how.resolution = scene.truth->step, how.mesh = 0;
+    how.resolution = scene.truth->step, how.cell_corner = corner_of(scene), how.mesh = 0;
     const reconstruct::Reconstruction made = reconstruct::reconstruct(model, seen, how);
     const Tensor mask = scored_cells(scene);
     std::vector<nn::PosedImage> images = made.images;
@@ -551,7 +556,8 @@ TEST_CASE("a scene's scores") {
     Scene seen = scene;
     seen.views.resize(3);
     reconstruct::ReconstructOptions how;
-    how.resolution = scene.truth->step, how.network = &network;
+    how.resolution = scene.truth->step, how.cell_corner = corner_of(scene);
+    how.network = &network;
     const reconstruct::Reconstruction made = reconstruct::reconstruct(model, seen, how);
     const DsmComparison c =
         compare_dsm(made.dsm, *scene.truth, Registration::xyz, scored_cells(scene));

@@ -122,6 +122,37 @@ TEST_CASE(
   CHECK(differ > 1e-2f);
 }
 
+TEST_CASE("a surface is what a network and its mirror images say together, a quarter more surely") {
+  const SurfaceModel network({.base = 3}, 4);
+  const SurfaceInput input = some_input(32, 48);
+  const NoGrad no_grad;
+  Tensor logits({kSurfaceCandidates, 32, 48}), residual({32, 48}), scale({32, 48});
+  const auto add = [](Tensor& to, const Tensor& from, float share) {
+    for (Index i = 0; i < to.count(); ++i) to[i] += share * from[i];
+  };
+  for (Index s = 0; s < 4; ++s) {
+    const auto one = turned(network, s)(input);
+    add(logits, one.logits.value(), 1.25F / 4);
+    add(residual, one.residual.value(), 0.25F);
+    add(scale, one.log_scale.value(), 0.25F);
+  }
+  const Tensor heights =
+      chosen_height(Var(logits), Var(residual), input.candidates, kSurfaceReach * input.interval)
+          .value();
+  const RefinedSurface out = refined(network, input);
+  Index known = 0;
+  for (Index i = 0; i < heights.count(); ++i) {
+    REQUIRE(std::isnan(out.heights[i]) == !has_candidate(input.candidates, i));
+    if (std::isnan(out.heights[i])) continue;
+    ++known;
+    REQUIRE(out.heights[i] == doctest::Approx(heights[i]).epsilon(1e-4));
+    REQUIRE(static_cast<double>(out.sigma[i]) ==
+            doctest::Approx(1.148 * laplace_scale(static_cast<double>(scale[i]), input.interval))
+                .epsilon(1e-4));
+  }
+  CHECK(known > 1000);
+}
+
 TEST_CASE("surface network: gradients in double") {
   BasicSurfaceModel<double> network({.base = 2}, 3);
   const SurfaceInput input = some_input(18, 21);

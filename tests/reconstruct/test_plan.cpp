@@ -161,6 +161,26 @@ TEST_CASE("without a resolution cells are as large as pixels on the ground") {
   CHECK(plan_reconstruction(nn::model_preset("tiny"), scene, {}).step == natural_step(footprint));
 }
 
+TEST_CASE("cells lie whole cells away from a corner") {
+  const rpc::LocalFrame frame{{.number = 31, .north = true}, 500003.1, 4000000.7, 0};
+  const Ground ground{-10.2, -7.3, 20.4, 15};
+  for (const std::array<double, 2>& corner :
+       {std::array{0.0, 0.0}, std::array{500000.2, 4000100.1}, std::array{510000.0, 3999999.9}}) {
+    const Grid grid = grid_of(ground, frame, 0.3, corner);
+    CAPTURE(corner[0]);
+    const double columns = (grid.east + frame.easting0 - corner[0]) / 0.3,
+                 rows = (grid.north + frame.northing0 - corner[1]) / 0.3;
+    CHECK(std::abs(columns - std::round(columns)) < 1e-6);
+    CHECK(std::abs(rows - std::round(rows)) < 1e-6);
+    CHECK(grid.east <= ground.x0);
+    CHECK(grid.east > ground.x0 - 0.3);
+    CHECK(grid.north >= ground.y1);
+    CHECK(grid.north < ground.y1 + 0.3);
+    CHECK(grid.ground().x1 >= ground.x1 - 1e-9);
+    CHECK(grid.ground().y0 <= ground.y0 + 1e-9);
+  }
+}
+
 TEST_CASE("a surface of more cells than there can be is refused, whatever made it so large") {
   const rpc::LocalFrame frame;
   CHECK(grid_of({0, 0, 10, 10}, frame, 0.5).width == 20);
