@@ -142,8 +142,8 @@ SurfaceModel turned(const SurfaceModel& network, Index symmetry);
 struct RefinedSurface {
   Tensor heights;  ///< [H W] local m, NaN where there is no candidate
   /// [H W] m, NaN alike: 1.148 times the expected error, within which a Laplace distribution has 68 %
-  /// of its mass. Errors have longer tails than that: on simulated scenes 77 to 85 % of the heights
-  /// are within it and 93 to 95 % within twice as much.
+  /// of its mass. Errors have longer tails than that: on simulated scenes 75 to 85 % of the heights
+  /// are within it and 92 to 95 % within twice as much.
   Tensor sigma;
 };
 /// Whether a cell has any candidate at all.
