@@ -241,7 +241,7 @@ inline std::vector<WrittenFile> written_by_reconstruct() {
       {"confidence.tif",
        "confidence of the surface, 0 to 1, on the same grid, Float32, nodata -9999"},
       {"height_sigma.tif",
-       "expected error of the heights, m, on the same grid: three in four or more are within it "
+       "expected error of the heights, m, on the same grid: some three in four are within it "
        "and "
        "more than nine in ten within twice as much; only of a refined surface"},
       {"views.tif",
