@@ -42,7 +42,8 @@ double mean_of(const Tensor& t) {
 void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene& user,
                 const ReconstructJob& job) {
   print_plan_ground(user, plan.z_range, plan.ground, job.crs);
-  std::printf("surface       %td x %td cells of %g m\n", plan.width, plan.height, plan.step);
+  std::printf("surface       about %td x %td cells of %g m\n", plan.grid.width, plan.grid.height,
+              plan.grid.step);
   if (plan.voxel > 0) std::printf("mesh          voxels of %g m\n", plan.voxel);
   std::printf("tiles         %zu, each with %zu windows of %td x %td px\n", plan.tiles.size(),
               user.scene.views.size(), plan.window.height, plan.window.width);
@@ -55,7 +56,7 @@ void print_plan(const reconstruct::ReconstructPlan& plan, const scene::UserScene
                 memory_text(plan.mesh_bytes).c_str());
   print_plan_time({.megapixels = plan.megapixels,
                    .views = static_cast<Index>(user.scene.views.size()),
-                   .cells = static_cast<double>(plan.height) * static_cast<double>(plan.width),
+                   .cells = plan.grid.cells(),
                    .columns = plan.columns,
                    .so_far = job.record.seconds()});
 }

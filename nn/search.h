@@ -13,7 +13,7 @@
 
 namespace satsurf::nn {
 
-/// Hypotheses on either side of the most probable one, of which a mode's height is the mean.
+/// Hypotheses on either side of the mode, of which its height is the mean (ops/mode_height.h).
 inline constexpr Index kModeRadius = 2;
 
 /// What a stage searches with.

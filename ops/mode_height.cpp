@@ -39,14 +39,24 @@ BasicVar<T> mode_height(const BasicVar<T>& probability, const BasicTensor<T>& he
   const T *p = probability.value().data(), *h = heights.data();
   for_each_index(B * H, [&](Index row) {
     const Index at = row / H * D * P + row % H * W;  // of the volume
-    std::vector<T> highest(p + at, p + at + W);
+    const auto together = [&](Index d, Index x) {    // with the hypotheses next to it
+      const T* here = p + at + d * P + x;
+      T sum = here[0];
+      if (radius > 0 && d > 0) sum += here[-P];
+      if (radius > 0 && d + 1 < D) sum += here[P];
+      return sum;
+    };
+    std::vector<T> highest(static_cast<std::size_t>(W));
     std::vector<Index> mode(static_cast<std::size_t>(W), 0);
+    for (Index x = 0; x < W; ++x) highest[x] = together(0, x);
     for (Index d = 1; d < D; ++d)
-      for (Index x = 0; x < W; ++x)
-        if (p[at + d * P + x] > highest[x]) {
-          highest[x] = p[at + d * P + x];
+      for (Index x = 0; x < W; ++x) {
+        const T sum = together(d, x);
+        if (sum > highest[x]) {
+          highest[x] = sum;
           mode[x] = d;
         }
+      }
     for (Index x = 0; x < W; ++x) {
       const Index first = std::max<Index>(0, mode[x] - radius),
                   last = std::min(D - 1, mode[x] + radius);

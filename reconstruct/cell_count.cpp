@@ -4,7 +4,6 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/reconstruct/shown_pixel.h"
 
-#include <algorithm>
 #include <cmath>
 #include <cstddef>
 
@@ -22,14 +21,7 @@ CellCount count_cells(const scene::HeightField& surface, const std::vector<nn::P
       const double x = surface.x0 + (static_cast<double>(column) + 0.5) * surface.step;
       const bool has = std::isfinite(surface.z[i]);
       count.found += has ? 1 : 0;
-      count.expected +=
-          has || std::ranges::count_if(
-                     images,
-                     [&](const nn::PosedImage& image) {
-                       return shown_pixel(image, image.pixel_from_local(x, y, middle)) >= 0;
-                     }) >= 2
-              ? 1
-              : 0;
+      count.expected += has || shown_by_two(images, x, y, middle) ? 1 : 0;
     }
   });
   CellCount all;

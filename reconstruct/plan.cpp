@@ -30,38 +30,44 @@ std::array<rpc::Pixel, 9> outline(const scene::View& v) {
   return pixels;
 }
 
-/// Around what at least two views see at one height; empty where there is no such ground.
+/// Around what at least two views see at any of some heights; empty where there is no such ground.
 /// sees  how many do at a point, local m
 template <class F>
-scene::Polygon common_outline(const scene::Scene& scene, double z, F&& sees) {
-  Ground all{INFINITY, INFINITY, -INFINITY, -INFINITY};
-  for (const scene::View& v : scene.views)
-    for (const rpc::Pixel& pixel : outline(v)) {
-      const auto p = scene.frame.local_from_geodetic(v.rpc.localize(pixel, z + scene.frame.h0));
-      all = {std::min(all.x0, p[0]), std::min(all.y0, p[1]), std::max(all.x1, p[0]),
-             std::max(all.y1, p[1])};
-    }
+scene::Polygon common_outline(const scene::Scene& scene, std::span<const double> heights,
+                              F&& sees) {
   // fine enough to place tiles; the exact rim comes from the surfels themselves
   constexpr Index kGrid = 128;
   std::vector<std::array<double, 2>> corners;
-  const double dx = all.width() / kGrid, dy = all.height() / kGrid;
-  for (Index i = 0; i < kGrid; ++i)
-    for (Index j = 0; j < kGrid; ++j) {
-      const double x = all.x0 + (static_cast<double>(j) + 0.5) * dx,
-                   y = all.y0 + (static_cast<double>(i) + 0.5) * dy;
-      if (sees(std::array{x, y, z}) < 2) continue;
-      for (const double u : {x - dx / 2, x + dx / 2})
-        for (const double v : {y - dy / 2, y + dy / 2}) corners.push_back({u, v});
-    }
+  for (const double z : heights) {
+    Ground all{INFINITY, INFINITY, -INFINITY, -INFINITY};
+    for (const scene::View& v : scene.views)
+      for (const rpc::Pixel& pixel : outline(v)) {
+        const auto p = scene.frame.local_from_geodetic(v.rpc.localize(pixel, z + scene.frame.h0));
+        all = {std::min(all.x0, p[0]), std::min(all.y0, p[1]), std::max(all.x1, p[0]),
+               std::max(all.y1, p[1])};
+      }
+    const double dx = all.width() / kGrid, dy = all.height() / kGrid;
+    for (Index i = 0; i < kGrid; ++i)
+      for (Index j = 0; j < kGrid; ++j) {
+        const double x = all.x0 + (static_cast<double>(j) + 0.5) * dx,
+                     y = all.y0 + (static_cast<double>(i) + 0.5) * dy;
+        if (sees(std::array{x, y, z}) < 2) continue;
+        for (const double u : {x - dx / 2, x + dx / 2})
+          for (const double v : {y - dy / 2, y + dy / 2}) corners.push_back({u, v});
+      }
+  }
   return scene::convex_hull(std::move(corners));
 }
 
 }  // namespace
 
+scene::Polygon outline_of_two(const scene::Scene& scene, std::span<const double> heights) {
+  return common_outline(scene, heights, [&](const auto& p) { return views_showing(scene, p); });
+}
+
 scene::Polygon common_outline(const scene::Scene& scene) {
-  const double z = scene.z_range.middle();
-  scene::Polygon common =
-      common_outline(scene, z, [&](const auto& p) { return views_showing(scene, p); });
+  const std::array z{scene.z_range.middle()};
+  scene::Polygon common = outline_of_two(scene, z);
   if (common.empty())
     common = common_outline(scene, z, [&](const auto& p) {
       const rpc::Geodetic at = scene.frame.geodetic_from_local(p);
@@ -96,6 +102,26 @@ Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step,
 double natural_step(double footprint) { return std::max(0.05, std::round(footprint * 20) / 20); }
 
 namespace {
+
+/// About what two views are going to show of the surface, at its own heights, which nobody knows yet:
+/// around the height, of some in the range, at which they share most ground, as images of one place do
+/// where it is.
+/// otherwise  where they share none at all
+Ground expected_ground(const scene::Scene& scene, const Ground& otherwise) {
+  constexpr double kRelief = 15;  // m on either side
+  const auto area = [](const Ground& g) { return g.width() * g.height(); };
+  const rpc::HeightRange& range = scene.z_range;
+  const double away = std::min(kRelief, range.span() / 4);
+  Ground most;
+  double where = 0;
+  for (const double z : {range.low + away, range.middle(), range.high - away})
+    if (const scene::Polygon outline = outline_of_two(scene, std::array{z}); !outline.empty())
+      if (const Ground ground = scene::bounds_of(outline); area(ground) > area(most))
+        most = ground, where = z;
+  return area(most) > 0 ? scene::bounds_of(
+                              outline_of_two(scene, std::array{where - away, where, where + away}))
+                        : otherwise;
+}
 
 /// Side of the largest ground square that every view's window holds for every height of the range.
 /// window   side of the windows, px
@@ -223,19 +249,20 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   }
 
   const double step = options.resolution > 0 ? options.resolution : natural_step(footprint);
-  const Grid grid = options.grid.value_or(grid_of(ground, scene.frame, step, options.cell_corner));
-  plan.east = grid.east, plan.north = grid.north, plan.step = grid.step;
-  plan.height = grid.height, plan.width = grid.width;
+  plan.grid = options.grid
+                  ? *options.grid
+                  : grid_of(expected_ground(scene, ground), scene.frame, step, options.cell_corner);
   if (options.mesh)
     plan.voxel =
         *options.mesh > 0 ? *options.mesh : std::max(0.05, std::round(40 * footprint) / 20);
   WorkSize size{.views = static_cast<Index>(scene.views.size()),
                 .window = plan.window,
-                .cells = static_cast<double>(plan.height) * static_cast<double>(plan.width)};
+                .cells = plan.grid.cells()};
   plan.megapixels = 1e-6 * static_cast<double>(plan.window.count()) *
                     static_cast<double>(size.views) * static_cast<double>(plan.middles.size());
   for (const scene::View& v : scene.views) size.pixels += static_cast<double>(v.valid.count());
-  if (plan.voxel > 0) size.columns = size.cells * plan.step * plan.step / (plan.voxel * plan.voxel);
+  if (plan.voxel > 0)
+    size.columns = size.cells * plan.grid.step * plan.grid.step / (plan.voxel * plan.voxel);
   plan.columns = size.columns;
   WorkMemory memory = work_memory(model, size, surface_kind(options));
   plan.surface_bytes = memory.surface_bytes, plan.mesh_bytes = memory.mesh_bytes;
@@ -259,7 +286,7 @@ void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {
   const auto times = [](Index a, Index b) { return std::to_string(a) + " x " + std::to_string(b); };
   satsurf::check_memory(std::to_string(scene.views.size()) + " windows of " +
                             times(plan.window.width, plan.window.height) + " px and a surface of " +
-                            times(plan.width, plan.height) + " cells need",
+                            times(plan.grid.width, plan.grid.height) + " cells need",
                         plan.surface_bytes, "give smaller images or a coarser resolution",
                         static_cast<double>(tensor_bytes()));  // the images are read
 }

@@ -12,6 +12,7 @@
 #include <array>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -46,6 +47,7 @@ struct Grid {
     return {east, north - static_cast<double>(height) * step,
             east + static_cast<double>(width) * step, north};
   }
+  double cells() const { return static_cast<double>(height) * static_cast<double>(width); }
 };
 
 /// Where a window of the network is.
@@ -93,12 +95,12 @@ nn::Wanted wanted_of(Surface surface);
 
 /// What `reconstruct` is going to do.
 struct ReconstructPlan {
-  rpc::HeightRange z_range;                    ///< that is searched, local m
-  Ground ground;                               ///< that two views see
-  double east = 0, north = 0;                  ///< upper-left corner of the DSM, local m
-  double step = 0;                             ///< its cell, m
+  rpc::HeightRange z_range;  ///< that is searched, local m
+  Ground ground;             ///< that two views see
+  /// Cells of the DSM. Where none are given, the DSM gets those of the ground that two views show at
+  /// the heights that are found, which are some more at the rim, or fewer.
+  Grid grid;
   double voxel = 0;                            ///< of the mesh, m; 0 without one
-  Index height = 0, width = 0;                 ///< its cells
   double columns = 0;                          ///< of the mesh's voxels, 0 without one
   scene::WindowSize window;                    ///< of the network, px
   std::vector<Ground> tiles;                   ///< what each window answers for
@@ -128,8 +130,12 @@ struct WorkMemory {
 };
 WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surface surface);
 
-/// Around what at least two views show in the middle of the range of heights, to a hundredth of its
-/// side.
+/// Around what at least two views show at any of some heights, to a hundredth of its side; empty where
+/// there is no such ground.
+/// heights  local m
+scene::Polygon outline_of_two(const scene::Scene& scene, std::span<const double> heights);
+/// That in the middle of the range of heights. Where no two images have valid pixels of one ground,
+/// around what two images hold, valid or not.
 /// throws  Error if there is no such ground
 scene::Polygon common_outline(const scene::Scene& scene);
 /// The bounds of that.

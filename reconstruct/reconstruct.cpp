@@ -9,6 +9,7 @@
 #include "satsurf/reconstruct/cell_count.h"
 #include "satsurf/reconstruct/fusion.h"
 #include "satsurf/reconstruct/narrow.h"
+#include "satsurf/reconstruct/shown_pixel.h"
 #include "satsurf/reconstruct/surface_input.h"
 #include "satsurf/reconstruct/trust.h"
 #include "satsurf/scene/crop.h"
@@ -102,13 +103,13 @@ class Evidence {
           nn::pixel_geometry(view, z, 1).footprint / static_cast<double>(input.sources.size());
   }
   SurfelEvidence all() const { return {concat(weights_, 0).value(), concat(rays_, 0).value()}; }
-  FusionGrid grid(const ReconstructPlan& plan) const {
+  FusionGrid on(const Grid& cells) const {
     const double tiles = static_cast<double>(weights_.size());
-    return {.east = plan.east,
-            .north = plan.north,
-            .step = plan.step,
-            .height = plan.height,
-            .width = plan.width,
+    return {.east = cells.east,
+            .north = cells.north,
+            .step = cells.step,
+            .height = cells.height,
+            .width = cells.width,
             .footprint = footprint_ / tiles,
             .interval = interval_ / tiles};
   }
@@ -118,29 +119,53 @@ class Evidence {
   double footprint_ = 0, interval_ = 0;  ///< summed over the tiles, m
 };
 
+/// The cells of the surface: those that are asked for, else those of the ground that two views show
+/// at the heights that were found. The plan knows the middle of the range of heights alone, and what
+/// lies higher or lower is seen further out on one side.
+/// means  [P 3] of all surfels
+Grid cells_of(const scene::Scene& scene, const ReconstructPlan& plan,
+              const ReconstructOptions& options, const Tensor& means) {
+  constexpr double kWrong = 0.01;  // share of the heights on either side that is not believed
+  const Index P = means.dim(0);
+  if (options.grid || P == 0) return plan.grid;
+  std::vector<float> z(static_cast<std::size_t>(P));
+  for (Index i = 0; i < P; ++i) z[static_cast<std::size_t>(i)] = means[3 * i + 2];
+  const auto quantile = [&](double share) {
+    const auto k = z.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(P - 1));
+    std::nth_element(z.begin(), k, z.end());
+    return static_cast<double>(*k);
+  };
+  const std::array heights{quantile(kWrong), quantile(1 - kWrong)};
+  const scene::Polygon outline = outline_of_two(scene, heights);
+  return outline.empty()
+             ? plan.grid
+             : grid_of(scene::bounds_of(outline), scene.frame, plan.grid.step, options.cell_corner);
+}
+
 /// Splats the surfels from straight above.
-FusedSurface splatted(const splat::Surfels& surfels, const ReconstructPlan& plan) {
-  const auto render = splat::render_view(
-      surfels, splat::nadir_camera(plan.east, plan.north, plan.step), plan.height, plan.width, 1);
+FusedSurface splatted(const splat::Surfels& surfels, const Grid& cells) {
+  const auto render =
+      splat::render_view(surfels, splat::nadir_camera(cells.east, cells.north, cells.step),
+                         cells.height, cells.width, 1);
   FusedSurface out{
-      splat::surface_heights(render), Tensor({plan.height, plan.width}, std::nanf("")), {}};
+      splat::surface_heights(render), Tensor({cells.height, cells.width}, std::nanf("")), {}};
   for (Index i = 0; i < out.heights.count(); ++i)
     if (std::isfinite(out.heights[i]))
       out.confidence[i] = render.aux.value()[i] / render.alpha.value()[i];
   return out;
 }
 
-/// Puts a surface on the grid of the plan and counts its cells.
+/// Puts a surface on its cells and counts them.
 /// unwanted  [H W] 1 where cells are not counted, or empty
 void keep_surface(Reconstruction& out, FusedSurface surface, const scene::Scene& scene,
-                  const ReconstructPlan& plan, const Tensor& unwanted) {
-  out.dsm = {std::move(surface.heights), plan.east, plan.north, plan.step};
+                  const Grid& cells, const Tensor& unwanted) {
+  out.dsm = {std::move(surface.heights), cells.east, cells.north, cells.step};
   out.confidence = std::move(surface.confidence);
   out.completeness = count_cells(out.dsm, out.images, scene.z_range.middle(), unwanted).share();
 }
 
 /// Forgets the surface and the surfels of unwanted cells.
-void leave_out(Reconstruction& out, const Tensor& unwanted, const ReconstructPlan& plan) {
+void leave_out(Reconstruction& out, const Tensor& unwanted, const Grid& cells) {
   for (Index i = 0; i < unwanted.count(); ++i) {
     if (!(unwanted[i] > 0)) continue;
     out.dsm.z[i] = out.confidence[i] = std::nanf("");
@@ -148,14 +173,14 @@ void leave_out(Reconstruction& out, const Tensor& unwanted, const ReconstructPla
   }
   // of surfels beyond the grid the nearest cell tells
   const auto cell = [&](double distance, Index most) {
-    return std::clamp<Index>(static_cast<Index>(std::floor(distance / plan.step)), 0, most - 1);
+    return std::clamp<Index>(static_cast<Index>(std::floor(distance / cells.step)), 0, most - 1);
   };
   const Tensor& means = out.surfels.means.value();
   std::vector<Index> keep;
   for (Index i = 0; i < means.dim(0); ++i) {
-    const Index u = cell(static_cast<double>(means[3 * i]) - plan.east, plan.width),
-                v = cell(plan.north - static_cast<double>(means[3 * i + 1]), plan.height);
-    if (!(unwanted[v * plan.width + u] > 0)) keep.push_back(i);
+    const Index u = cell(static_cast<double>(means[3 * i]) - cells.east, cells.width),
+                v = cell(cells.north - static_cast<double>(means[3 * i + 1]), cells.height);
+    if (!(unwanted[v * cells.width + u] > 0)) keep.push_back(i);
   }
   out.surfels = splat::selected(out.surfels, keep);
 }
@@ -178,9 +203,19 @@ scene::Scene narrowed(const nn::Model& model, const scene::Scene& scene,
 struct Gathered {
   splat::Surfels surfels;
   Tensor confidence;        ///< [P]
+  Grid cells;               ///< of the surface
   SurfelEvidence evidence;  ///< empty, as is the grid, for a splatted surface
   FusionGrid grid;
 };
+
+/// A tile that answers also for what lies beyond the edges that it shares with the ground of all.
+Ground opened(Ground tile, const Ground& all) {
+  if (tile.x0 <= all.x0) tile.x0 = -INFINITY;
+  if (tile.y0 <= all.y0) tile.y0 = -INFINITY;
+  if (tile.x1 >= all.x1) tile.x1 = INFINITY;
+  if (tile.y1 >= all.y1) tile.y1 = INFINITY;
+  return tile;
+}
 
 /// Runs the network over the tiles.
 /// surface  that will be made of the surfels, not automatic
@@ -204,7 +239,8 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
     const auto stages = model.forward(crop.input, poll, &memory, wanted_of(surface));
     keep_most(out.memory, memory);
     poll();
-    const auto tile = plan.tiles.size() > 1 ? std::optional(plan.tiles[t]) : std::nullopt;
+    const auto tile =
+        plan.tiles.size() > 1 ? std::optional(opened(plan.tiles[t], plan.ground)) : std::nullopt;
     const splat::Surfels& surfels = stages[2].surfels;
     const std::vector<Index> keep =
         trusted_surfels(crop.input, surfels.means.value(), stages[2].height.value(), tile);
@@ -219,8 +255,9 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
   out.planned_memory_bytes = plan.memory_bytes;
   out.planned_mesh_bytes = plan.mesh_bytes;
   out.planned_memory = plan.memory;
-  if (weighed) all.evidence = evidence.all(), all.grid = evidence.grid(plan);
   all.surfels = splat::joined(parts);
+  all.cells = cells_of(scene, plan, options, all.surfels.means.value());
+  if (weighed) all.evidence = evidence.all(), all.grid = evidence.on(all.cells);
   all.confidence = first_channel(all.surfels.aux.value(), {all.surfels.means.value().dim(0)});
   return all;
 }
@@ -230,21 +267,29 @@ nn::SurfaceInput input_of(const Gathered& all, const Reconstruction& made) {
                        made.images);
 }
 
-/// The surface as the network makes it, where two images or more show it. Its confidence is that of
-/// the surfels times the share of them that agree, 0 in the holes that the network filled.
-FusedSurface refined(const nn::SurfaceModel& network, const nn::SurfaceInput& input,
-                     Tensor& sigma) {
-  nn::RefinedSurface made = nn::refined(network, input);
-  FusedSurface out{std::move(made.heights), Tensor::uninitialised(made.sigma.shape()), {}};
-  sigma = std::move(made.sigma);
+/// The surface as the network makes it, where two images or more show it, at its own height or that
+/// of the densest mode. Its confidence is that of the surfels times the share of them that agree, 0 in
+/// the holes that the network filled.
+/// made  its images are whole
+FusedSurface refined(const nn::SurfaceModel& network, const Gathered& all,
+                     const Reconstruction& made, Tensor& sigma) {
+  const nn::SurfaceInput input = input_of(all, made);
+  nn::RefinedSurface surface = nn::refined(network, input);
+  FusedSurface out{std::move(surface.heights), Tensor::uninitialised(surface.sigma.shape()), {}};
+  sigma = std::move(surface.sigma);
   const Index P = sigma.count();
   const auto plane = [&](nn::SurfacePlane p) {
     return input.planes.data() + static_cast<Index>(p) * P;
   };
   const float *sure = plane(nn::SurfacePlane::confidence),
               *share = plane(nn::SurfacePlane::mode_share), *views = plane(nn::SurfacePlane::views);
+  const Grid& cells = all.cells;
   for (Index i = 0; i < P; ++i) {
-    if (views[i] < nn::kViewsOfTwo) out.heights[i] = sigma[i] = std::nanf("");
+    const double x = cells.east + (static_cast<double>(i % cells.width) + 0.5) * cells.step;
+    const double y = cells.north - (static_cast<double>(i / cells.width) + 0.5) * cells.step;
+    if (views[i] < nn::kViewsOfTwo &&
+        !shown_by_two(made.images, x, y, static_cast<double>(out.heights[i])))
+      out.heights[i] = sigma[i] = std::nanf("");
     out.confidence[i] = std::isfinite(out.heights[i]) ? sure[i] * share[i] : std::nanf("");
   }
   return out;
@@ -276,27 +321,24 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
   FusedSurface surface;
   switch (surface_kind(options)) {
     case Surface::refined:
-      surface = refined(*options.network, input_of(all, out), out.sigma);
+      surface = refined(*options.network, all, out, out.sigma);
       break;
     case Surface::plain:
       surface = fuse_surfels(all.surfels.means.value(), all.confidence, all.evidence, all.grid);
       all.surfels = splat::selected(all.surfels, surface.kept);
       break;
     default:
-      surface = splatted(all.surfels, plan);
+      surface = splatted(all.surfels, all.cells);
   }
   out.surfels = std::move(all.surfels);
   out.memory.push_back({"surface", static_cast<double>(peak_tensor_bytes()) - before});
   raise_peak_tensor_bytes(earlier);
   report(1);
-  const Tensor unwanted =
-      options.unwanted
-          ? options.unwanted({plan.east, plan.north, plan.step, plan.height, plan.width})
-          : Tensor();
-  keep_surface(out, std::move(surface), scene, plan, unwanted);
+  const Tensor unwanted = options.unwanted ? options.unwanted(all.cells) : Tensor();
+  keep_surface(out, std::move(surface), scene, all.cells, unwanted);
   if (!out.sigma.empty()) out.surfels = cast_on(out.surfels, all.evidence.rays, out.dsm);
   // last, so that a ray that ends on such ground is not cast beyond it
-  if (!unwanted.empty()) leave_out(out, unwanted, plan);
+  if (!unwanted.empty()) leave_out(out, unwanted, all.cells);
   return out;
 }
 
@@ -310,7 +352,7 @@ UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& w
   check_memory(plan, scene);
   Reconstruction made;
   const Gathered all = gather(model, scene, plan, Surface::refined, how, made);
-  return {input_of(all, made), plan.east, plan.north, plan.step};
+  return {input_of(all, made), all.cells.east, all.cells.north, all.cells.step};
 }
 
 }  // namespace satsurf::reconstruct

@@ -21,6 +21,17 @@ inline Index shown_pixel(const nn::PosedImage& image, const std::array<double, 2
   return image.valid[at] > 0 ? at : -1;
 }
 
+/// Whether two images or more show a place, hidden or not; none shows an unknown height.
+/// x, y, z  local m
+inline bool shown_by_two(const std::vector<nn::PosedImage>& images, double x, double y, double z) {
+  int showing = 0;
+  for (const nn::PosedImage& image : images)
+    if (std::isfinite(z) && shown_pixel(image, image.pixel_from_local(x, y, z)) >= 0 &&
+        ++showing == 2)
+      return true;
+  return false;
+}
+
 /// Mean of the channels at that pixel; NaN where there is none.
 inline float shown_brightness(const nn::PosedImage& image, const std::array<double, 2>& place) {
   const Index at = shown_pixel(image, place), C = image.rgb.dim(0), P = image.valid.count();

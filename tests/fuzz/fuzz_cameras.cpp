@@ -68,7 +68,8 @@ void run(std::string_view bytes) {
       only<Error>([&] {
         const reconstruct::ReconstructPlan plan =
             reconstruct::plan_reconstruction(model, scene, options);
-        require(plan.width > 0 && plan.height > 0 && !plan.tiles.empty() && plan.memory_bytes > 0,
+        require(plan.grid.width > 0 && plan.grid.height > 0 && !plan.tiles.empty() &&
+                    plan.memory_bytes > 0,
                 "a plan has cells and tiles");
       });
       break;

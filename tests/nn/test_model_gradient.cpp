@@ -186,7 +186,7 @@ TEST_CASE("the whole model's gradient, for every parameter of all three stages")
         continue;
       double error = INFINITY;
       // kinks may lie within the longer ones, and modes and best pairs that change
-      for (const double step : {1e-7, 1e-6, 1e-8}) {
+      for (const double step : {1e-7, 1e-6, 1e-8, 1e-9}) {
         const Slope s = slope(value, parameters, step);
         REQUIRE(s.gradient > 0);
         error = std::min(error, std::abs(s.numeric - s.analytic) / s.gradient);

@@ -4,6 +4,7 @@
 #include "satsurf/ops/mode_height.h"
 #include "satsurf/ops/softmax.h"
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -31,19 +32,58 @@ BasicVar<double> softmax_of(const BasicTensor<double>& logits, const BasicTensor
 }  // namespace
 
 TEST_CASE("mode_height by hand") {
-  BasicTensor<double> p({1, 5, 1, 2}), z({1, 5, 1, 2});
-  const double left[] = {0.3, 0.1, 0.05, 0.4, 0.15}, right[] = {0.35, 0.35, 0.1, 0.1, 0.1};
-  for (Index d = 0; d < 5; ++d) {
-    p[2 * d] = left[d], p[2 * d + 1] = right[d];
-    z[2 * d] = z[2 * d + 1] = static_cast<double>(d);
-  }
+  // A surface at 3 and one hypothesis that stands out at 0; two modes as good as each other; all at the last.
+  const double probability[3][5] = {
+      {0.35, 0, 0.2, 0.25, 0.2}, {0.25, 0.25, 0, 0.25, 0.25}, {0, 0, 0, 0.25, 0.75}};
+  BasicTensor<double> p({1, 5, 1, 3}), z({1, 5, 1, 3});
+  for (Index d = 0; d < 5; ++d)
+    for (Index x = 0; x < 3; ++x) {
+      p[3 * d + x] = probability[x][d];
+      z[3 * d + x] = static_cast<double>(d);
+    }
   const auto h = mode_height(BasicVar<double>(p), z, 1).value();
-  CHECK(h[0] == doctest::Approx((0.05 * 2 + 0.4 * 3 + 0.15 * 4) / 0.6));
-  CHECK(h[1] == doctest::Approx(0.35 / 0.7));  // the first of two equal ones
+  CHECK(h[0] == doctest::Approx((0.2 * 2 + 0.25 * 3 + 0.2 * 4) / 0.65));
+  CHECK(h[1] == doctest::Approx(0.5));  // about 0, the first of equals
+  CHECK(h[2] == doctest::Approx(0.25 * 3 + 0.75 * 4));
   const auto only = mode_height(BasicVar<double>(p), z, 0).value();
-  CHECK(only[0] == doctest::Approx(3));
+  CHECK(only[0] == 0);  // the most probable one
   const auto all = mode_height(BasicVar<double>(p), z, 9).value();
-  CHECK(all[0] == doctest::Approx(0.1 + 0.1 + 1.2 + 0.6));
+  CHECK(all[0] == doctest::Approx(0.4 + 0.75 + 0.8));
+}
+
+TEST_CASE("mode_height: hypotheses fewer than three") {
+  BasicTensor<double> two({1, 2, 1, 1}), z({1, 2, 1, 1});
+  two[0] = 0.4, two[1] = 0.6, z[0] = 10, z[1] = 20;
+  CHECK(mode_height(BasicVar<double>(two), z, 1).value()[0] == doctest::Approx(16));
+  const BasicTensor<double> one({1, 1, 1, 1}, 1.0), at({1, 1, 1, 1}, 7.0);
+  CHECK(mode_height(BasicVar<double>(one), at, 1).value()[0] == doctest::Approx(7));
+}
+
+TEST_CASE("mode_height is that of a search one pixel after the other") {
+  const Shape shape{2, 9, 4, 5};
+  const auto z = spaced(shape, 0.7), p = softmax_of(normal(shape, 8), z).value();
+  for (const Index radius : {0, 1, 3}) {
+    CAPTURE(radius);
+    const auto h = mode_height(BasicVar<double>(p), z, radius).value();
+    for (Index b = 0; b < 2; ++b)
+      for (Index pixel = 0; pixel < 20; ++pixel) {
+        const auto of = [&](const BasicTensor<double>& volume, Index d) {
+          return volume[(b * 9 + d) * 20 + pixel];
+        };
+        double highest = 0, mass = 0, moment = 0;
+        Index mode = 0;
+        for (Index d = 0; d < 9; ++d) {
+          double sum = 0;
+          for (Index k = std::max<Index>(0, d - std::min<Index>(1, radius));
+               k <= std::min<Index>(8, d + std::min<Index>(1, radius)); ++k)
+            sum += of(p, k);
+          if (sum > highest) highest = sum, mode = d;
+        }
+        for (Index d = 0; d < 9; ++d)
+          if (std::abs(d - mode) <= radius) mass += of(p, d), moment += of(p, d) * of(z, d);
+        REQUIRE(h[b * 20 + pixel] == doctest::Approx(moment / mass));
+      }
+  }
 }
 
 TEST_CASE("mode_height: gradient and threads") {

@@ -77,12 +77,15 @@ TEST_CASE("the plan of a run is what the run does, its heights narrowed alike") 
                         before = plan_reconstruction(model.config(), scene, {});
   const Reconstruction run = reconstruct::reconstruct(model, scene, {});
   CHECK(plan.z_range == run.z_range);
-  CHECK(plan.width == run.dsm.z.dim(1));
-  CHECK(plan.height == run.dsm.z.dim(0));
-  CHECK(plan.east == run.dsm.x0);
-  CHECK(plan.north == run.dsm.y0);
+  // the cells are those of the heights that are found
+  const Index W = run.dsm.z.dim(1), H = run.dsm.z.dim(0);
+  CHECK(plan.grid.step == run.dsm.step);
+  CHECK(static_cast<double>(W) ==
+        doctest::Approx(static_cast<double>(plan.grid.width)).epsilon(0.1));
+  CHECK(static_cast<double>(H) ==
+        doctest::Approx(static_cast<double>(plan.grid.height)).epsilon(0.1));
   CHECK(plan.memory_bytes == run.planned_memory_bytes);
   CHECK(plan.z_range.span() < before.z_range.span());
-  CHECK((plan.east != before.east || plan.north != before.north));
+  CHECK((plan.grid.east != before.grid.east || plan.grid.north != before.grid.north));
   CHECK(plan.megapixels == doctest::Approx(2e-6 * 256 * 256).epsilon(0.2));
 }

@@ -4,6 +4,8 @@
 #include "satsurf/reconstruct/plan.h"
 #include "satsurf/scene/view_geometry.h"
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "tests/reconstruct/simulated.h"
@@ -32,19 +34,31 @@ TEST_CASE("the grid starts at whole multiples of its step and covers the ground"
     ReconstructOptions options;
     options.resolution = step;
     const ReconstructPlan plan = plan_reconstruction(model, scene, options);
-    CHECK(plan.step == doctest::Approx(step > 0 ? step : 0.5).epsilon(0.11));
-    const double columns = (plan.east + scene.frame.easting0) / plan.step,
-                 rows = (plan.north + scene.frame.northing0) / plan.step;
+    CHECK(plan.grid.step == doctest::Approx(step > 0 ? step : 0.5).epsilon(0.11));
+    const double columns = (plan.grid.east + scene.frame.easting0) / plan.grid.step,
+                 rows = (plan.grid.north + scene.frame.northing0) / plan.grid.step;
     CHECK(std::abs(columns - std::round(columns)) < 1e-6);
     CHECK(std::abs(rows - std::round(rows)) < 1e-6);
-    CHECK(plan.east <= plan.ground.x0);
-    CHECK(plan.north >= plan.ground.y1);
-    const double right = plan.east + plan.step * static_cast<double>(plan.width),
-                 bottom = plan.north - plan.step * static_cast<double>(plan.height);
-    CHECK(right >= plan.ground.x1);
-    CHECK(right < plan.ground.x1 + plan.step);
-    CHECK(bottom <= plan.ground.y0);
-    CHECK(bottom > plan.ground.y0 - plan.step);
+    // around the height, of three in the range, at which two views share most
+    const double away = std::min(15.0, scene.z_range.span() / 4), low = scene.z_range.low + away,
+                 high = scene.z_range.high - away;
+    Ground most;
+    for (const double z : {low, scene.z_range.middle(), high}) {
+      const Ground shared = scene::bounds_of(outline_of_two(scene, std::array{z}));
+      if (area(shared) > area(most)) most = shared;
+    }
+    const Ground cells = plan.grid.ground();
+    CHECK(cells.x0 <= most.x0);
+    CHECK(cells.y0 <= most.y0);
+    CHECK(cells.x1 >= most.x1);
+    CHECK(cells.y1 >= most.y1);
+    // no satellite looks further than 45 degrees aside
+    const double beyond = away + plan.grid.step;
+    CHECK(cells.x0 > most.x0 - beyond);
+    CHECK(cells.y0 > most.y0 - beyond);
+    CHECK(cells.x1 < most.x1 + beyond);
+    CHECK(cells.y1 < most.y1 + beyond);
+    CHECK(area(cells) > 1.05 * area(most));
   }
 }
 
@@ -158,7 +172,8 @@ TEST_CASE("without a resolution cells are as large as pixels on the ground") {
   const double footprint = footprint_at({0, 0, scene.z_range.middle()});
   CHECK(footprint == doctest::Approx(0.5).epsilon(0.1));
   CHECK(footprint_at({20, -20, scene.z_range.low}) == doctest::Approx(footprint).epsilon(0.01));
-  CHECK(plan_reconstruction(nn::model_preset("tiny"), scene, {}).step == natural_step(footprint));
+  CHECK(plan_reconstruction(nn::model_preset("tiny"), scene, {}).grid.step ==
+        natural_step(footprint));
 }
 
 TEST_CASE("cells lie whole cells away from a corner") {

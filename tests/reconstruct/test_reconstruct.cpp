@@ -35,6 +35,14 @@ void check_same(const Reconstruction& a, const Reconstruction& b) {
   CHECK(same_bits(a.surfels.colours.value(), b.surfels.colours.value()));
 }
 
+/// The cell that holds a place, or -1.
+Index cell_at(const scene::HeightField& field, double x, double y) {
+  const auto column = static_cast<Index>(std::floor((x - field.x0) / field.step)),
+             row = static_cast<Index>(std::floor((field.y0 - y) / field.step));
+  const Index H = field.z.dim(0), W = field.z.dim(1);
+  return row >= 0 && column >= 0 && row < H && column < W ? row * W + column : -1;
+}
+
 }  // namespace
 
 TEST_CASE("images in memory give the same surface as their files") {
@@ -374,7 +382,6 @@ TEST_CASE("tiles give the surface of the whole, without seams") {
   REQUIRE(whole.tiles == 1);
   REQUIRE(tiled.tiles == static_cast<Index>(plan.tiles.size()));
   REQUIRE(tiled.tiles >= 4);
-  REQUIRE(tiled.dsm.z.shape() == whole.dsm.z.shape());
   // a tile of 128 px shows the network less around each pixel than the whole does
   CHECK(std::abs(tiled.completeness - whole.completeness) < 0.05);
 
@@ -397,18 +404,19 @@ TEST_CASE("tiles give the surface of the whole, without seams") {
   Index both = 0, near = 0, close = 0;
   const Index W = whole.dsm.z.dim(1);
   for (Index i = 0; i < whole.dsm.z.count(); ++i) {
-    const double a = static_cast<double>(whole.dsm.z[i]), b = static_cast<double>(tiled.dsm.z[i]);
-    if (!std::isfinite(a) || !std::isfinite(b)) continue;
-    both += 1, near += std::abs(a - b) < 0.1, close += std::abs(a - b) < 0.5;
     const double x = whole.dsm.x0 + (static_cast<double>(i % W) + 0.5) * whole.dsm.step,
                  y = whole.dsm.y0 - (static_cast<double>(i / W) + 0.5) * whole.dsm.step;
+    const Index there = cell_at(tiled.dsm, x, y);
+    if (there < 0) continue;
+    const double a = static_cast<double>(whole.dsm.z[i]),
+                 b = static_cast<double>(tiled.dsm.z[there]);
+    if (!std::isfinite(a) || !std::isfinite(b)) continue;
+    both += 1, near += std::abs(a - b) < 0.1, close += std::abs(a - b) < 0.5;
     const double east = x + scene.frame.easting0 - made.frame.easting0,
                  north = y + scene.frame.northing0 - made.frame.northing0;
-    const auto column = static_cast<Index>(std::floor((east - made.dsm.x0) / made.dsm.step)),
-               row = static_cast<Index>(std::floor((made.dsm.y0 - north) / made.dsm.step));
-    if (row < 0 || column < 0 || row >= made.dsm.z.dim(0) || column >= made.dsm.z.dim(1)) continue;
-    const double truth = static_cast<double>(made.dsm.z[row * made.dsm.z.dim(1) + column]) +
-                         made.frame.h0 - scene.frame.h0;
+    const Index known = cell_at(made.dsm, east, north);
+    if (known < 0) continue;
+    const double truth = static_cast<double>(made.dsm.z[known]) + made.frame.h0 - scene.frame.h0;
     const bool seam = to_seam(x, y) < 2;
     (seam ? whole_seam : whole_inner).add(std::abs(a - truth));
     (seam ? tiled_seam : tiled_inner).add(std::abs(b - truth));
@@ -428,4 +436,38 @@ TEST_CASE("tiles give the surface of the whole, without seams") {
   // Where tiles meet, tiling costs less than a twentieth of the error that is there anyway.
   CHECK(tiled_seam.value() < 1.05 * whole_seam.value());
   CHECK(tiled_seam.value() < 1.15 * tiled_inner.value());
+}
+
+TEST_CASE("the surface reaches as far as two images show its heights") {
+  const scene::SimulatedScene made = test::village(192, 3);
+  const nn::Model model = nn::load_model(SATSURF_TEST_WEIGHTS);
+  // the middle of the range is high above the village, where the images show other ground
+  const scene::Scene scene =
+      scene::scene_from_images(test::HeldImages(made).images(),
+                               rpc::HeightRange{made.h_min - 2, made.h_max + 150})
+          .scene;
+  ReconstructOptions options;
+  options.narrow = false;
+  const Ground planned = plan_reconstruction(model.config(), scene, options).ground;
+  const Reconstruction run = reconstruct::reconstruct(model, scene, options);
+  double seen = 0, beyond = 0, held = 0;
+  for (Index i = 0; i < made.dsm.z.count(); i += 3) {
+    const double z = static_cast<double>(made.dsm.z[i]) + made.frame.h0 - scene.frame.h0;
+    const double x = made.dsm.x0 +
+                     (static_cast<double>(i % made.dsm.z.dim(1)) + 0.5) * made.dsm.step +
+                     made.frame.easting0 - scene.frame.easting0;
+    const double y = made.dsm.y0 -
+                     (static_cast<double>(i / made.dsm.z.dim(1)) + 0.5) * made.dsm.step +
+                     made.frame.northing0 - scene.frame.northing0;
+    if (views_showing(scene, {x, y, z}) < 2) continue;
+    seen += 1;
+    beyond += planned.contains(x, y) ? 0 : 1;
+    held += cell_at(run.dsm, x, y) >= 0 ? 1 : 0;
+  }
+  CAPTURE(seen);
+  CHECK(beyond > 0.03 * seen);
+  CHECK(held > 0.995 * seen);
+  // and not much further
+  CHECK(static_cast<double>(run.dsm.z.count()) * run.dsm.step * run.dsm.step <
+        1.4 * seen * 3 * made.dsm.step * made.dsm.step);
 }
