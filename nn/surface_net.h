@@ -42,7 +42,13 @@ enum class SurfacePlane : Index {
   darkest,  ///< of the images there, the mean of its colours
   range,    ///< between the darkest and the brightest of them
   cell,     ///< logarithm of the cell's size in pixels on the ground
-  count     ///< number of planes
+  /// K: the images that show each candidate with nothing on the way, a quarter of their number. What
+  /// stands on the way is what the modes say.
+  seen,
+  seen_disagreement = seen + kSurfaceCandidates,  ///< K: `disagreement` among those
+  /// K: their mean brightness, as `locally_normalised` makes it; 0 of none.
+  brightness = seen_disagreement + kSurfaceCandidates,
+  count = brightness + kSurfaceCandidates  ///< number of planes
 };
 inline constexpr Index kSurfacePlanes = static_cast<Index>(SurfacePlane::count);
 /// `views` of two images. Where fewer show a cell there is no surface.
@@ -142,8 +148,8 @@ SurfaceModel turned(const SurfaceModel& network, Index symmetry);
 struct RefinedSurface {
   Tensor heights;  ///< [H W] local m, NaN where there is no candidate
   /// [H W] m, NaN alike: 1.148 times the expected error, within which a Laplace distribution has 68 %
-  /// of its mass. Errors have longer tails than that: on simulated scenes 75 to 85 % of the heights
-  /// are within it and 92 to 95 % within twice as much.
+  /// of its mass. Errors have longer tails than that: on simulated scenes 70 to 85 % of the heights
+  /// are within it and 91 to 95 % within twice as much.
   Tensor sigma;
 };
 /// Whether a cell has any candidate at all.

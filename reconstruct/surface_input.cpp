@@ -5,6 +5,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/reconstruct/cell_mode.h"
 #include "satsurf/reconstruct/cell_surfels.h"
+#include "satsurf/reconstruct/horizon.h"
 
 #include <algorithm>
 #include <array>
@@ -162,6 +163,38 @@ class Appearance {
   std::vector<Tensor> local_, colour_;
 };
 
+/// Ground towards the satellite of an image (east, north) per metre of height, at the middle of a grid.
+std::array<double, 2> toward_satellite(const nn::PosedImage& image, const FusionGrid& grid,
+                                       double z) {
+  constexpr double kUp = 10;  // m
+  const double x = grid.east + 0.5 * static_cast<double>(grid.width) * grid.step,
+               y = grid.north - 0.5 * static_cast<double>(grid.height) * grid.step;
+  const auto [u, v] = image.pixel_from_local(x, y, z);
+  const auto low = image.local_from_pixel(u, v, z), high = image.local_from_pixel(u, v, z + kUp);
+  return {(high[0] - low[0]) / kUp, (high[1] - low[1]) / kUp};
+}
+
+/// Of every image the heights up to which the modes hide the cells from it, each [H W].
+/// candidates  [K H W]
+std::vector<Tensor> horizons_of(const Tensor& candidates, const FusionGrid& grid,
+                                const std::vector<nn::PosedImage>& images) {
+  const Index P = grid.height * grid.width;
+  Tensor surface({grid.height, grid.width}, kNan);
+  double sum = 0, known = 0;
+  for (Index i = 0; i < P; ++i) {
+    const float mode = candidates[at(SurfaceCandidate::mode) * P + i];
+    surface[i] = std::isfinite(mode) ? mode : candidates[at(SurfaceCandidate::around) * P + i];
+    if (std::isfinite(surface[i])) sum += static_cast<double>(surface[i]), known += 1;
+  }
+  std::vector<Tensor> out(images.size());
+  for_each_index(std::ssize(images), [&](Index n) {
+    const auto i = static_cast<std::size_t>(n);
+    out[i] = sight_horizon(surface, grid.step,
+                           toward_satellite(images[i], grid, known > 0 ? sum / known : 0));
+  });
+  return out;
+}
+
 /// How much the images that show a point differ there.
 struct Disagreement {
   double mean = 1, best = 1;
@@ -231,8 +264,9 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
       blocks.side, grid, candidate + at(SurfaceCandidate::ground) * P);
 
   const Appearance appearance(images);
+  const std::vector<Tensor> horizons = horizons_of(out.candidates, grid, images);
   for_each_index(H, [&](Index i) {
-    std::array<Look, kMostImages> looks{};
+    std::array<Look, kMostImages> looks{}, seen{};
     const double y = grid.north - (static_cast<double>(i) + 0.5) * grid.step;
     for (Index j = 0; j < W; ++j) {
       const double x = grid.east + (static_cast<double>(j) + 0.5) * grid.step;
@@ -241,13 +275,27 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
       const Index shown = at(known ? SurfaceCandidate::mode : SurfaceCandidate::around);
       for (Index k = 0; k < kSurfaceCandidates; ++k) {
         const auto z = static_cast<double>(candidate[k * P + cell]);
-        std::size_t n = 0;
+        std::size_t n = 0, open = 0;
+        double bright = 0;
         if (std::isfinite(z))
-          for (std::size_t v = 0; v < appearance.count() && n < kMostImages; ++v)
-            if (appearance.look(v, x, y, z, k == shown, looks[n])) ++n;
+          for (std::size_t v = 0; v < appearance.count() && n < kMostImages; ++v) {
+            if (!appearance.look(v, x, y, z, k == shown, looks[n])) continue;
+            // as much higher as one pixel of parallax may well be the cell's own surface
+            if (z > static_cast<double>(horizons[v][cell]) - grid.interval) {
+              bright += looks[n].local;
+              seen[open++] = looks[n];
+            }
+            ++n;
+          }
         const Disagreement d = disagreement_of(looks, n);
-        plane[(at(SurfacePlane::disagreement) + k) * P + cell] = static_cast<float>(d.mean);
-        plane[(at(SurfacePlane::best_pair) + k) * P + cell] = static_cast<float>(d.best);
+        const auto of_candidate = [&](SurfacePlane p, double value) {
+          plane[(at(p) + k) * P + cell] = static_cast<float>(value);
+        };
+        of_candidate(SurfacePlane::disagreement, d.mean);
+        of_candidate(SurfacePlane::best_pair, d.best);
+        of_candidate(SurfacePlane::seen, 0.25 * static_cast<double>(open));
+        of_candidate(SurfacePlane::seen_disagreement, disagreement_of(seen, open).mean);
+        of_candidate(SurfacePlane::brightness, open > 0 ? bright / static_cast<double>(open) : 0);
         if (k != shown || n == 0) continue;
         std::array<double, 3> mean{};
         double darkest = INFINITY, brightest = -INFINITY;

@@ -226,13 +226,8 @@ bool holds(const nn::PosedImage& image, const std::array<double, 2>& pixel) {
 /// Whether water stands at a place, local m.
 bool is_water(const Scene& scene, const std::array<double, 2>& ground) {
   if (scene.classes.empty()) return false;
-  const HeightField& grid = *scene.truth;
-  const double column = std::floor((ground[0] - grid.x0) / grid.step),
-               row = std::floor((grid.y0 - ground[1]) / grid.step);
-  const Index H = scene.classes.dim(0), W = scene.classes.dim(1);
-  return column >= 0 && row >= 0 && column < static_cast<double>(W) &&
-         row < static_cast<double>(H) &&
-         scene.classes[static_cast<Index>(row) * W + static_cast<Index>(column)] == kWater;
+  const Index cell = cell_at(*scene.truth, ground[0], ground[1]);
+  return cell >= 0 && scene.classes[cell] == kWater;
 }
 
 }  // namespace

@@ -4,6 +4,8 @@
 #include "satsurf/core/quadratic.h"
 #include "satsurf/core/tensor.h"
 
+#include <cmath>
+
 namespace satsurf::scene {
 
 /// Heights on a regular grid of the local frame; row 0 is north. Cell (i, j) is centred at
@@ -12,6 +14,17 @@ struct HeightField {
   Tensor z;  ///< [H W] m in the local frame; NaN where unknown
   double x0 = 0, y0 = 0, step = 0.5;
 };
+
+/// The cell of a field that holds a place, row by row; -1 beyond the field.
+/// x, y  local m
+inline Index cell_at(const HeightField& field, double x, double y) {
+  const double column = std::floor((x - field.x0) / field.step),
+               row = std::floor((field.y0 - y) / field.step);
+  const Index H = field.z.dim(0), W = field.z.dim(1);
+  return column >= 0 && row >= 0 && column < static_cast<double>(W) && row < static_cast<double>(H)
+             ? static_cast<Index>(row) * W + static_cast<Index>(column)
+             : -1;
+}
 
 /// First intersection of every pixel's ray with the surface, from above. Cells are square columns
 /// with vertical walls (what a DSM says); a ray that reaches an unknown cell or leaves the grid

@@ -34,11 +34,8 @@ void add_truth(const scene::Scene& scene, const reconstruct::UnrefinedSurface& m
     for (Index j = 0; j < W; ++j) {
       const double x = made.x0 + (static_cast<double>(j) + 0.5) * made.step,
                    y = made.y0 - (static_cast<double>(i) + 0.5) * made.step;
-      const auto row = static_cast<Index>(std::floor((truth.y0 - y) / truth.step)),
-                 col = static_cast<Index>(std::floor((x - truth.x0) / truth.step));
-      if (row < 0 || col < 0 || row >= truth.z.dim(0) || col >= truth.z.dim(1)) continue;
-      const Index k = row * truth.z.dim(1) + col;
-      if (!std::isfinite(truth.z[k])) continue;
+      const Index k = scene::cell_at(truth, x, y);
+      if (k < 0 || !std::isfinite(truth.z[k])) continue;
       if (!scene.classes.empty() && scene.classes[k] == scene::kWater) continue;
       lesson.truth[i * W + j] = truth.z[k];
       lesson.weight[i * W + j] = 1;

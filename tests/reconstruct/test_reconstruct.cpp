@@ -35,14 +35,6 @@ void check_same(const Reconstruction& a, const Reconstruction& b) {
   CHECK(same_bits(a.surfels.colours.value(), b.surfels.colours.value()));
 }
 
-/// The cell that holds a place, or -1.
-Index cell_at(const scene::HeightField& field, double x, double y) {
-  const auto column = static_cast<Index>(std::floor((x - field.x0) / field.step)),
-             row = static_cast<Index>(std::floor((field.y0 - y) / field.step));
-  const Index H = field.z.dim(0), W = field.z.dim(1);
-  return row >= 0 && column >= 0 && row < H && column < W ? row * W + column : -1;
-}
-
 }  // namespace
 
 TEST_CASE("images in memory give the same surface as their files") {
@@ -406,7 +398,7 @@ TEST_CASE("tiles give the surface of the whole, without seams") {
   for (Index i = 0; i < whole.dsm.z.count(); ++i) {
     const double x = whole.dsm.x0 + (static_cast<double>(i % W) + 0.5) * whole.dsm.step,
                  y = whole.dsm.y0 - (static_cast<double>(i / W) + 0.5) * whole.dsm.step;
-    const Index there = cell_at(tiled.dsm, x, y);
+    const Index there = scene::cell_at(tiled.dsm, x, y);
     if (there < 0) continue;
     const double a = static_cast<double>(whole.dsm.z[i]),
                  b = static_cast<double>(tiled.dsm.z[there]);
@@ -414,7 +406,7 @@ TEST_CASE("tiles give the surface of the whole, without seams") {
     both += 1, near += std::abs(a - b) < 0.1, close += std::abs(a - b) < 0.5;
     const double east = x + scene.frame.easting0 - made.frame.easting0,
                  north = y + scene.frame.northing0 - made.frame.northing0;
-    const Index known = cell_at(made.dsm, east, north);
+    const Index known = scene::cell_at(made.dsm, east, north);
     if (known < 0) continue;
     const double truth = static_cast<double>(made.dsm.z[known]) + made.frame.h0 - scene.frame.h0;
     const bool seam = to_seam(x, y) < 2;
@@ -462,7 +454,7 @@ TEST_CASE("the surface reaches as far as two images show its heights") {
     if (views_showing(scene, {x, y, z}) < 2) continue;
     seen += 1;
     beyond += planned.contains(x, y) ? 0 : 1;
-    held += cell_at(run.dsm, x, y) >= 0 ? 1 : 0;
+    held += scene::cell_at(run.dsm, x, y) >= 0 ? 1 : 0;
   }
   CAPTURE(seen);
   CHECK(beyond > 0.03 * seen);

@@ -114,6 +114,34 @@ TEST_CASE("the images agree at the true height and not elsewhere") {
   CHECK(wrong / n > 0.4);
 }
 
+TEST_CASE("what the roof hides from an image is not seen in it") {
+  const MadeUp made;
+  const nn::SurfaceInput in = made.made();
+  // the satellite of the first stands above, that of the second in the west, of the third in the east;
+  // 6 m of roof hide 3 m of ground
+  const auto of_mode = [&](SurfacePlane p, double x, double y) {
+    return made.plane(in, at(p) + static_cast<Index>(SurfaceCandidate::mode), x, y);
+  };
+  CHECK(of_mode(SurfacePlane::seen, 0.1, 8.1) == 0.75F);  // quarters
+  CHECK(of_mode(SurfacePlane::seen, 0.1, 0.1) == 0.75F);
+  CHECK(of_mode(SurfacePlane::seen, 4.1, 0.1) == 0.5F);
+  CHECK(of_mode(SurfacePlane::seen, -4.1, 0.1) == 0.5F);
+  CHECK(of_mode(SurfacePlane::seen, 6.6, 0.1) == 0.75F);
+  const auto ground = static_cast<Index>(SurfaceCandidate::ground);
+  CHECK(made.plane(in, at(SurfacePlane::seen) + ground, 0.1, 0.1) == 0.25F);  // from above
+  CHECK(made.plane(in, at(SurfacePlane::seen_disagreement) + ground, 0.1, 0.1) == 1);
+  CHECK(of_mode(SurfacePlane::seen_disagreement, 0.1, 8.1) ==
+        of_mode(SurfacePlane::disagreement, 0.1, 8.1));
+  // the middles of these cells are the middles of pixels of all images
+  const auto local = [&](std::size_t view, Index row, Index column) {
+    return nn::locally_normalised<float>(made.input.sources[view])[row * S + column];
+  };
+  CHECK(of_mode(SurfacePlane::brightness, 0.1, 8.1) ==
+        doctest::Approx((local(0, 15, 32) + local(1, 15, 32) + local(2, 15, 32)) / 3));
+  CHECK(of_mode(SurfacePlane::brightness, 4.1, 0.1) ==
+        doctest::Approx((local(0, 31, 40) + local(2, 31, 40)) / 2));
+}
+
 TEST_CASE("of many images those count that show the place") {
   MadeUp made;
   const nn::SurfaceInput three = made.made();
