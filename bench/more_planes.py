@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Weights of a surface network that was given fewer planes, for a program that gives it more; the new ones count nothing.
+"""Weights of a surface network that was given fewer planes, for a program that gives it more. The new ones count 0.
 
   bench/more_planes.py WEIGHTS.safetensors OUT.safetensors ADDED
 
