@@ -24,6 +24,12 @@ def load(path):
     return json.loads(content[8:end]), bytearray(content[end:])
 
 
+def save(path, entries, data):
+    header = json.dumps(entries, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)  # tensors begin at a whole word
+    Path(path).write_bytes(struct.pack("<Q", len(header)) + header + data)
+
+
 def values_of(entry, data):
     letter, size = FORMS[entry["dtype"]]
     begin, end = entry["data_offsets"]
@@ -47,9 +53,7 @@ def main(first, second, out, share="0.5", network="cascade"):
             sys.exit(f"{name}: {entry} and {other}, expected one shape, F16 in the first file and F16 or F32 in the second")
         mean = [(1 - share) * x + share * y for x, y in zip(values_of(entry, data), values_of(other, other_data))]
         data[slice(*entry["data_offsets"])] = struct.pack(f"<{len(mean)}e", *mean)
-    header = json.dumps(entries, separators=(",", ":")).encode()
-    header += b" " * (-len(header) % 8)  # tensors begin at a whole word
-    Path(out).write_bytes(struct.pack("<Q", len(header)) + header + data)
+    save(out, entries, data)
 
 
 if __name__ == "__main__":

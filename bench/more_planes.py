@@ -7,18 +7,15 @@
 ADDED planes go behind those there were, before the one that says where there are surfels, as `SurfaceNet::channels` has
 them. What the network says stays the same; training it further (`train --init OUT`) teaches it to use them.
 """
-import json
-import struct
 import sys
-from pathlib import Path
+
+from mean_weights import load, save
 
 STEM = "surface.stem.weight"
 
 
 def main(source, out, added):
-    content = Path(source).read_bytes()
-    end = 8 + struct.unpack("<Q", content[:8])[0]
-    entries, data = json.loads(content[8:end]), content[end:]
+    entries, data = load(source)
     if STEM not in entries:
         sys.exit(f"{source}: no tensor {STEM}, expected weights with a surface network")
     stem = entries[STEM]
@@ -33,9 +30,7 @@ def main(source, out, added):
         if name != "__metadata__" and entry["data_offsets"][0] >= last:
             entry["data_offsets"] = [offset + len(wider) - (last - first) for offset in entry["data_offsets"]]
     stem["shape"], stem["data_offsets"] = [outputs, inputs + added, *kernel], [first, first + len(wider)]
-    header = json.dumps(entries, separators=(",", ":")).encode()
-    header += b" " * (-len(header) % 8)  # tensors begin at a whole word
-    Path(out).write_bytes(struct.pack("<Q", len(header)) + header + data[:first] + wider + data[last:])
+    save(out, entries, data[:first] + wider + data[last:])
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ namespace satsurf::reconstruct {
 namespace {
 
 /// Whether two views show any of some points spread over a tile.
-bool shown_by_two(const scene::Scene& scene, const scene::Polygon& ground) {
+bool any_shown_by_two(const scene::Scene& scene, const scene::Polygon& ground) {
   constexpr int kTried = 48;  // a side
   const Ground box = scene::bounds_of(ground);
   for (int i = 0; i < kTried; ++i)
@@ -144,7 +144,7 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
   TileSurface out;
   const Grid grid = tiling.grid_of(tile.all), core = tiling.grid_of(tile.core);
   const scene::Polygon ground = tiling.ground_of(tile);
-  if (part.scene.views.size() < 2 || !shown_by_two(part.scene, ground)) return out;
+  if (part.scene.views.size() < 2 || !any_shown_by_two(part.scene, ground)) return out;
   const Tensor within = of_core(tiling, tile, inside),
                uncounted =
                    not_counted(tiling, tile, of_core(tiling, tile, options.unwanted), within);
