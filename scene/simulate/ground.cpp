@@ -119,8 +119,11 @@ void shape_ground(Layout& layout, const Rng& rng) {
                                       .seed = seed_of(rng, 2)});
   const Tensor mask =
       fractal_noise(N, N, plan.step, {.period = 150, .octaves = 2, .seed = seed_of(rng, 3)});
-  // A quarry is a steep side cut into many benches.
-  const bool quarry = rough && draw.chance(0.35);
+  // A quarry is a steep side cut into many benches; those of an open pit are as tall as houses, and
+  // their faces hide their own feet.
+  Rng of_pit = rng.fork(8);
+  const bool pit = plan.crags && of_pit.chance(0.4);
+  const bool quarry = (rough && draw.chance(0.35)) || pit;
   float tilt = static_cast<float>(quarry ? draw.uniform(0.6, 1.0) : draw.uniform(0, 0.6));
   if (plan.crags) tilt = 0.3f + 0.7f * tilt;
   const float turn = static_cast<float>(draw.uniform(0, 6.2832));
@@ -131,6 +134,7 @@ void shape_ground(Layout& layout, const Rng& rng) {
     benches.height = static_cast<float>(draw.uniform(3, 9));
     benches.riser = static_cast<float>(draw.uniform(0.08, 0.3));
     benches.lowest = static_cast<float>(draw.uniform(-1.5, -0.2));
+    if (pit) benches.height = std::min(static_cast<float>(log_uniform(of_pit, 5, 20)), 0.5f * A);
   } else if (open && draw.chance(rough ? 0.5 : 0.3)) {
     benches.height = static_cast<float>(draw.uniform(0.12, 0.35)) * A;
     benches.riser = static_cast<float>(draw.uniform(0.08, 0.35));
@@ -161,7 +165,7 @@ void shape_ground(Layout& layout, const Rng& rng) {
     }
   });
 
-  if (plan.crags) raise_crags(layout.terrain, plan, rng.fork(7));
+  if (plan.crags && !pit) raise_crags(layout.terrain, plan, rng.fork(7));
 
   if (plan.water) {
     const Tensor noise = fractal_noise(
