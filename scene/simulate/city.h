@@ -99,8 +99,9 @@ struct CityPlan {
   double relief = 5;    ///< the ground stays within +-relief
   double tallest = 30;  ///< nothing rises higher above the ground
   bool water = false;
-  bool dark = false;   ///< natural surfaces are dark here and there without a shadow
-  bool crags = false;  ///< rock stands out of the ground, and gullies are cut into it
+  bool dark = false;  ///< natural surfaces are dark here and there without a shadow
+  bool crags =
+      false;  ///< rock stands out of the ground, and gullies are cut into it; or an open pit
   double x0 = 0, y0 = 0, step = 0.25;  ///< grid of the height field
   Index size = 1024;                   ///< its rows and columns
 };

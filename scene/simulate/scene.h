@@ -85,8 +85,10 @@ struct SimulateConfig {
             .min = 0,
             .max = 1});
     v("crags", s.crags,
-      Field{.help = "share of the rural and the rough scenes with rock that stands out of steeper "
-                    "ground, and gullies, whose shadows fall on slopes",
+      Field{.help =
+                "share of the rural and the rough scenes that are open pits, two of five, or have "
+                "rock that stands out of steeper ground, and gullies, whose shadows fall on "
+                "slopes",
             .min = 0,
             .max = 1});
     v("panchromatic", s.panchromatic, Field{.help = "share of scenes in grey", .min = 0, .max = 1});

@@ -414,6 +414,37 @@ TEST_CASE("rock stands out of open ground where it is asked for, and stays withi
                            town.views[0].rgb.values()));
 }
 
+TEST_CASE("two of five grounds with rock are open pits: level benches that climb as a whole") {
+  const auto benched = [](std::uint64_t seed, bool crags) {
+    Layout layout;
+    layout.plan = open_country(seed, 80);
+    layout.plan.crags = crags;
+    shape_ground(layout, Rng(seed));
+    const Index N = layout.plan.size;
+    const Tensor& z = layout.terrain;
+    const float slope = 0.15f * static_cast<float>(layout.plan.step);
+    Index level = 0;
+    for (Index i = 1; i < N; ++i)
+      for (Index j = 1; j < N; ++j)
+        level +=
+            std::hypot(z[i * N + j] - z[i * N + j - 1], z[i * N + j] - z[(i - 1) * N + j]) < slope;
+    std::array<float, 4> sides{};  // west, east, north, south
+    for (Index i = 0; i < N; ++i) {
+      const std::array ends{z[i * N], z[i * N + N - 1], z[i], z[(N - 1) * N + i]};
+      for (std::size_t k = 0; k < 4; ++k) sides[k] += ends[k] / static_cast<float>(N);
+    }
+    const float climb = std::hypot(sides[1] - sides[0], sides[3] - sides[2]);
+    return 2 * level > N * N && climb > 90;
+  };
+  int without = 0, with = 0;
+  for (std::uint64_t seed = 0; seed < 40; ++seed) {
+    without += benched(seed, false);
+    with += benched(seed, true);
+  }
+  CHECK(with >= 12);
+  CHECK(with >= 2 * without);
+}
+
 TEST_CASE("kinds are drawn by their weights") {
   SimulateConfig config;
   config.pixels = 16, config.views = 1, config.heights = false, config.gsd = 0.6;
