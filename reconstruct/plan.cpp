@@ -47,14 +47,17 @@ scene::Polygon common_outline(const scene::Scene& scene, std::span<const double>
                std::max(all.y1, p[1])};
       }
     const double dx = all.width() / kGrid, dy = all.height() / kGrid;
-    for (Index i = 0; i < kGrid; ++i)
-      for (Index j = 0; j < kGrid; ++j) {
-        const double x = all.x0 + (static_cast<double>(j) + 0.5) * dx,
-                     y = all.y0 + (static_cast<double>(i) + 0.5) * dy;
-        if (sees(std::array{x, y, z}) < 2) continue;
-        for (const double u : {x - dx / 2, x + dx / 2})
-          for (const double v : {y - dy / 2, y + dy / 2}) corners.push_back({u, v});
-      }
+    for (Index i = 0; i < kGrid; ++i) {
+      const double y = all.y0 + (static_cast<double>(i) + 0.5) * dy;
+      const auto middle = [&](Index j) { return all.x0 + (static_cast<double>(j) + 0.5) * dx; };
+      const auto seen = [&](Index j) { return sees(std::array{middle(j), y, z}) >= 2; };
+      Index first = 0, last = kGrid - 1;  // all that is between them lies in their hull
+      while (first < kGrid && !seen(first)) ++first;
+      if (first == kGrid) continue;
+      while (!seen(last)) --last;
+      for (const double x : {middle(first) - dx / 2, middle(last) + dx / 2})
+        for (const double v : {y - dy / 2, y + dy / 2}) corners.push_back({x, v});
+    }
   }
   return scene::convex_hull(std::move(corners));
 }
