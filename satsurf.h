@@ -39,6 +39,7 @@
 #include "satsurf/rpc/raster.h"
 #include "satsurf/rpc/read.h"
 #include "satsurf/rpc/warp.h"
+#include "satsurf/scene/classes.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
 #include "satsurf/scene/ground.h"

@@ -5,6 +5,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/evaluate/fill.h"
 #include "satsurf/evaluate/metrics.h"
+#include "satsurf/scene/classes.h"
 #include "satsurf/scene/sight_lines.h"
 
 #include <algorithm>
@@ -100,7 +101,7 @@ void add_classes(const Tensor& classes, double cell_area, CauseFlags& flags) {
   const Index H = flags.height, W = flags.width;
   Marks building(flags.cells.size()), outside(flags.cells.size());
   for (std::size_t k = 0; k < building.size(); ++k) {
-    building[k] = classes[static_cast<Index>(k)] == kBuildingClass;
+    building[k] = classes[static_cast<Index>(k)] == scene::kBuildingClass;
     outside[k] = building[k] == 0;
   }
   const std::vector<Index> sizes = region_sizes(building, H, W);
@@ -116,9 +117,9 @@ void add_classes(const Tensor& classes, double cell_area, CauseFlags& flags) {
                   : area <= kLargeRoof ? Cause::roof_medium
                                        : Cause::roof_large);
     }
-    if (c == kTreeClass) cell |= bit(Cause::tree);
-    if (c == kWaterClass) cell |= bit(Cause::water);
-    if (c == kGroundClass && (cell & in_the_way) == 0) cell |= bit(Cause::open_ground);
+    if (c == scene::kTreeClass) cell |= bit(Cause::tree);
+    if (c == scene::kWaterClass) cell |= bit(Cause::water);
+    if (c == scene::kGroundClass && (cell & in_the_way) == 0) cell |= bit(Cause::open_ground);
   }
 }
 

@@ -16,9 +16,6 @@
 
 namespace satsurf::evaluate {
 
-/// Codes of DFC2019's class rasters, which the simulator writes too.
-inline constexpr float kGroundClass = 2, kTreeClass = 5, kBuildingClass = 6, kWaterClass = 9;
-
 /// What may make the height of a cell hard to find. A cell can have several causes, but for the
 /// roofs, of which it has one, and for `open_ground` and `other`, which exclude what is said here.
 ///   hidden        a source view that contains the cell's true surface point does not see it

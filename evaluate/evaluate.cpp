@@ -10,6 +10,7 @@
 #include "satsurf/reconstruct/laid_surfels.h"
 #include "satsurf/reconstruct/reconstruct.h"
 #include "satsurf/reconstruct/rendered_view.h"
+#include "satsurf/scene/classes.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
 
@@ -94,7 +95,7 @@ SigmaScore score_sigma(const Tensor& sigma, const Tensor& error) {
 
 Tensor not_water(const Tensor& classes) {
   Tensor mask = classes.clone();
-  for (float& v : mask.values()) v = v == kWaterClass ? 0.f : 1.f;
+  for (float& v : mask.values()) v = v == scene::kWaterClass ? 0.f : 1.f;
   return mask;
 }
 

@@ -2,7 +2,7 @@
 #include "satsurf/reconstruct/cell_count.h"
 
 #include "satsurf/core/parallel.h"
-#include "satsurf/reconstruct/shown_pixel.h"
+#include "satsurf/reconstruct/shown_place.h"
 
 #include <cmath>
 #include <cstddef>

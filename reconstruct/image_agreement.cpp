@@ -2,7 +2,7 @@
 #include "satsurf/reconstruct/image_agreement.h"
 
 #include "satsurf/core/parallel.h"
-#include "satsurf/reconstruct/shown_pixel.h"
+#include "satsurf/reconstruct/shown_place.h"
 #include "satsurf/scene/sight_lines.h"
 
 #include <algorithm>
@@ -117,7 +117,7 @@ ImageAgreement image_agreement(const scene::HeightField& surface,
         Index holding = 0;
         for (std::size_t v = 0; v < images.size(); ++v) {
           const auto pixel = images[v].pixel_from_local(x, y, z);
-          holding += shown_pixel(images[v], pixel) >= 0;
+          holding += nn::shown_pixel(images[v], pixel) >= 0;
           if (lines.sees(v, i, j))
             shown[v][static_cast<std::size_t>(k)] = shown_brightness(images[v], pixel);
         }

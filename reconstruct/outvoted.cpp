@@ -3,7 +3,7 @@
 
 #include "satsurf/core/parallel.h"
 #include "satsurf/reconstruct/image_agreement.h"
-#include "satsurf/reconstruct/shown_pixel.h"
+#include "satsurf/reconstruct/shown_place.h"
 #include "satsurf/scene/sight_lines.h"
 
 #include <algorithm>

@@ -9,7 +9,7 @@
 #include "satsurf/reconstruct/cell_count.h"
 #include "satsurf/reconstruct/fusion.h"
 #include "satsurf/reconstruct/narrow.h"
-#include "satsurf/reconstruct/shown_pixel.h"
+#include "satsurf/reconstruct/shown_place.h"
 #include "satsurf/reconstruct/surface_input.h"
 #include "satsurf/reconstruct/trust.h"
 #include "satsurf/scene/crop.h"

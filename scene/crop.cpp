@@ -2,7 +2,9 @@
 #include "satsurf/scene/crop.h"
 
 #include "satsurf/core/parallel.h"
+#include "satsurf/nn/shown_pixel.h"
 #include "satsurf/rpc/fit.h"
+#include "satsurf/scene/classes.h"
 
 #include <algorithm>
 #include <cmath>
@@ -215,19 +217,11 @@ Crop make_crop(const Scene& scene, const CropOptions& options) {
 
 namespace {
 
-/// Whether an image has a pixel there.
-bool holds(const nn::PosedImage& image, const std::array<double, 2>& pixel) {
-  const Index H = image.valid.dim(0), W = image.valid.dim(1);
-  const double x = std::floor(pixel[0] + 0.5), y = std::floor(pixel[1] + 0.5);
-  return x >= 0 && y >= 0 && x < static_cast<double>(W) && y < static_cast<double>(H) &&
-         image.valid[static_cast<Index>(y) * W + static_cast<Index>(x)] > 0;
-}
-
 /// Whether water stands at a place, local m.
 bool is_water(const Scene& scene, const std::array<double, 2>& ground) {
   if (scene.classes.empty()) return false;
   const Index cell = cell_at(*scene.truth, ground[0], ground[1]);
-  return cell >= 0 && scene.classes[cell] == kWater;
+  return cell >= 0 && scene.classes[cell] == kWaterClass;
 }
 
 }  // namespace
@@ -247,7 +241,7 @@ void forget_untold_truth(Crop& crop, const Scene& scene) {
                      height = static_cast<double>(z[p]);
         bool told = false;
         for (std::size_t j = 0; j < images.size() && !told; ++j)
-          told = j != i && holds(images[j], crop.input.transfer[i][j](x, y, height));
+          told = j != i && nn::shown_pixel(images[j], crop.input.transfer[i][j](x, y, height)) >= 0;
         if (!told || is_water(scene, images[i].local_from_pixel(x, y, height)))
           z[p] = std::nanf("");
       }

@@ -83,8 +83,6 @@ Crop make_crop(const Scene& scene, const CropOptions& options);
 /// returns  the share of all source pixels that have an image and a known height
 double forget_unseen_truth(Crop& crop);
 
-inline constexpr float kWater = 9;  ///< its class
-
 /// Makes true heights of sources unknown that their images do not tell: of points that no other
 /// source's window holds, and of water, which looks otherwise in each.
 /// scene  that the windows are of, with the classes if they are known

@@ -7,6 +7,7 @@
 #include "satsurf/ops/candidates.h"
 #include "satsurf/ops/elementwise.h"
 #include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/scene/classes.h"
 #include "satsurf/scene/view_geometry.h"
 #include "satsurf/train/draw.h"
 #include "satsurf/train/sample_batch.h"
@@ -36,7 +37,7 @@ void add_truth(const scene::Scene& scene, const reconstruct::UnrefinedSurface& m
                    y = made.y0 - (static_cast<double>(i) + 0.5) * made.step;
       const Index k = scene::cell_at(truth, x, y);
       if (k < 0 || !std::isfinite(truth.z[k])) continue;
-      if (!scene.classes.empty() && scene.classes[k] == scene::kWater) continue;
+      if (!scene.classes.empty() && scene.classes[k] == scene::kWaterClass) continue;
       lesson.truth[i * W + j] = truth.z[k];
       lesson.weight[i * W + j] = 1;
     }

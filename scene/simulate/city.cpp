@@ -2,6 +2,7 @@
 #include "satsurf/scene/simulate/city.h"
 
 #include "satsurf/core/parallel.h"
+#include "satsurf/scene/classes.h"
 #include "satsurf/scene/simulate/layout.h"
 #include "satsurf/scene/simulate/natural.h"
 #include "satsurf/scene/simulate/noise.h"
@@ -430,16 +431,16 @@ Tensor classes_of(const City& city) {
   for (Index k = 0; k < out.count(); ++k) {
     switch (city.cells[static_cast<std::size_t>(k)].material) {
       case Material::tree:
-        out[k] = 5;
+        out[k] = kTreeClass;
         break;
       case Material::roof:
-        out[k] = 6;
+        out[k] = kBuildingClass;
         break;
       case Material::water:
-        out[k] = 9;
+        out[k] = kWaterClass;
         break;
       default:
-        out[k] = 2;
+        out[k] = kGroundClass;
     }
   }
   return out;

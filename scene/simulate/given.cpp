@@ -4,6 +4,7 @@
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/raster.h"
+#include "satsurf/scene/classes.h"
 #include "satsurf/scene/simulate/dress.h"
 #include "satsurf/scene/simulate/noise.h"
 #include "satsurf/scene/simulate/texture.h"
@@ -18,7 +19,6 @@ namespace satsurf::scene {
 namespace simulate {
 namespace {
 
-constexpr float kGround = 2, kTree = 5, kBuilding = 6, kWater = 9;  // classes of DFC2019
 constexpr std::size_t kMostParts = 65000;  // fewer than SurfaceCell::part can number
 
 Index mirrored(Index k, Index n) {
@@ -60,7 +60,7 @@ class Dresser {
     city_.centre_x = plan.x0 + half;
     city_.centre_y = plan.y0 - half;
     city_.cells.resize(static_cast<std::size_t>(N_ * N_));
-    classes_ = Tensor({N_, N_}, kGround);
+    classes_ = Tensor({N_, N_}, kGroundClass);
     const Index H = surface.z.dim(0), W = surface.z.dim(1);
     const double x0 = surface.grid.x0 - frame.easting0, y0 = surface.grid.y0 - frame.northing0,
                  step = surface.grid.step;
@@ -104,7 +104,7 @@ class Dresser {
     city_.floor_z = city_.field.z.clone();
     for_range(N_, 32, [&](Index begin, Index end) {
       for (Index k = begin * N_; k < end * N_; ++k) {
-        if (classes_[k] == kTree) plant(k);
+        if (classes_[k] == kTreeClass) plant(k);
       }
     });
     shape_cells(city_);
@@ -140,7 +140,7 @@ class Dresser {
     }
     const Tensor rough = box_mean(uneven, static_cast<Index>(std::lround(1.5f / step_)));
     for (Index k = 0; k < N_ * N_; ++k) {
-      if (z[k] - ground_[k] > 2.5f) classes_[k] = rough[k] > 0.7f ? kTree : kBuilding;
+      if (z[k] - ground_[k] > 2.5f) classes_[k] = rough[k] > 0.7f ? kTreeClass : kBuildingClass;
     }
   }
 
@@ -152,13 +152,13 @@ class Dresser {
       for (Index i = begin; i < end; ++i) {
         for (Index j = 0; j < N_; ++j) {
           const Index k = i * N_ + j;
-          if (given[k] == kTree || given[k] == kBuilding || given[k] == kWater ||
+          if (given[k] == kTreeClass || given[k] == kBuildingClass || given[k] == kWaterClass ||
               city_.field.z[k] - ground_[k] < 2) {
             continue;
           }
           for (Index y = std::max(i - near, Index{0}); y <= std::min(i + near, N_ - 1); ++y) {
             for (Index x = std::max(j - near, Index{0}); x <= std::min(j + near, N_ - 1); ++x) {
-              if (given[y * N_ + x] == kBuilding) classes_[k] = kBuilding;
+              if (given[y * N_ + x] == kBuildingClass) classes_[k] = kBuildingClass;
             }
           }
         }
@@ -173,7 +173,8 @@ class Dresser {
     std::vector<Index> open;
     Rng r = rng_.fork(6);
     for (Index start = 0; start < N_ * N_; ++start) {
-      if (classes_[start] != kBuilding || roof_[static_cast<std::size_t>(start)] != 0) continue;
+      if (classes_[start] != kBuildingClass || roof_[static_cast<std::size_t>(start)] != 0)
+        continue;
       const bool full = city_.parts.size() >= kMostParts;
       if (!full) city_.parts.push_back(part(r));
       const auto number = static_cast<std::uint16_t>(city_.parts.size());
@@ -190,7 +191,7 @@ class Dresser {
                                           j > 0 ? k - 1 : k, j + 1 < N_ ? k + 1 : k};
         for (const Index n : around) {
           std::uint16_t& other = roof_[static_cast<std::size_t>(n)];
-          if (classes_[n] != kBuilding || other != 0 || std::abs(z[n] - z[k]) > 0.5f) continue;
+          if (classes_[n] != kBuildingClass || other != 0 || std::abs(z[n] - z[k]) > 0.5f) continue;
           other = number;
           open.push_back(n);
         }
@@ -231,12 +232,12 @@ class Dresser {
     city_.fine[at] = byte(fine_[k]);
     city_.patch[at] = byte(0.7f * middle_[k] + 0.7f * wide_[k]);
     SurfaceCell& cell = city_.cells[at];
-    if (classes_[k] == kBuilding) {
+    if (classes_[k] == kBuildingClass) {
       const Part& p = city_.parts[roof_[at] - 1u];
       cell.part = roof_[at];
       return paint(cell, k, p.roof_colour, Material::roof, p.texture);
     }
-    if (classes_[k] == kWater) return paint(cell, k, {0.03f, 0.045f, 0.05f}, Material::water);
+    if (classes_[k] == kWaterClass) return paint(cell, k, {0.03f, 0.045f, 0.05f}, Material::water);
     dress_ground(cell, k);
   }
 

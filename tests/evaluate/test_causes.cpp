@@ -4,6 +4,7 @@
 #include "satsurf/evaluate/causes.h"
 #include "satsurf/evaluate/table.h"
 #include "satsurf/nn/hypotheses.h"
+#include "satsurf/scene/classes.h"
 
 #include <algorithm>
 #include <cmath>
@@ -37,8 +38,8 @@ scene::HeightField box_on_plane(float box, double step = 1) {
 }
 /// Ground, and a building where the box is.
 Tensor box_classes() {
-  Tensor classes = box_on_plane(kBuildingClass - kGroundClass).z;
-  for (float& c : classes.values()) c += kGroundClass;
+  Tensor classes = box_on_plane(scene::kBuildingClass - scene::kGroundClass).z;
+  for (float& c : classes.values()) c += scene::kGroundClass;
   return classes;
 }
 
@@ -243,7 +244,7 @@ TEST_CASE("causes: roofs by the size of the building") {
   Tensor classes = box_classes();
   const auto second_box = [&](Index row) {
     for (Index i = row; i < row + 8; ++i)
-      for (Index j = kLast; j < kLast + 8; ++j) classes[i * kSide + j] = kBuildingClass;
+      for (Index j = kLast; j < kLast + 8; ++j) classes[i * kSide + j] = scene::kBuildingClass;
   };
   second_box(kLast);
   const scene::HeightField truth = box_on_plane(10, 2);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/error.h"
 #include "satsurf/rpc/raster.h"
+#include "satsurf/scene/classes.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
 #include "satsurf/scene/simulate/scene.h"
@@ -233,7 +234,7 @@ TEST_CASE("heights that no other image shows, and those of water, are no true he
   const HeightField& truth = *scene.truth;
   for (Index i = 0; i < scene.classes.count(); ++i)  // the north-west of everything
     if (i % truth.z.dim(1) < truth.z.dim(1) / 2 && i / truth.z.dim(1) < truth.z.dim(0) / 2)
-      scene.classes[i] = kWater;
+      scene.classes[i] = kWaterClass;
   const auto cut = [&] {
     return make_crop(
         scene,
