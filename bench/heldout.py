@@ -124,19 +124,28 @@ def main():
             place = surface.name.removesuffix("_DSM.tif")
             wanted[place] = ["--surface", surface, "--classes", surface.with_name(f"{place}_CLS.tif"),
                              "--scenes", 4, "--views", 4, "--pixels", 640, "--seed", 77]
+    lacking = [name for name in wanted if options.against and not (options.folder / options.against / f"{name}.csv").exists()]
+    if lacking:
+        parser.error(f"--against {options.against}: {options.folder / options.against} has no scores of {', '.join(lacking)}, "
+                     f"expected those of an earlier run with --name {options.against}")
     of_the_48 = []  # of each of their sets the scenes
+    better = compared = 0
     for name, recipe in wanted.items():
         of_set = scored(options, name, recipe)
         report(name, list(of_set.values()))
         if options.against:
             other = scores(options.folder / options.against / f"{name}.csv")
             both = [(of_set[s][FILLED + "mae"], other[s][FILLED + "mae"]) for s in of_set if s in other]
-            print(f"  {options.against}: {statistics.fmean(b for _, b in both):.3f} m, of {len(both)} scenes better: "
-                  f"{sum(a < b for a, b in both)}")
+            less = sum(a < b for a, b in both)
+            print(f"  {options.against}: {statistics.fmean(b for _, b in both):.3f} m, of {len(both)} scenes better: {less}")
+            if name in FORTY_EIGHT:
+                better, compared = better + less, compared + len(both)
         if name in FORTY_EIGHT:
             of_the_48.append(list(of_set.values()))
     if len(of_the_48) > 1:
         report("of the 48", sum(of_the_48, []))
+        if options.against:
+            print(f"  {options.against}: of {compared} scenes better: {better}")
 
 
 if __name__ == "__main__":

@@ -37,12 +37,21 @@ def values_of(entry, data):
 
 
 def main(first, second, out, share="0.5", network="cascade"):
-    share = float(share)
+    try:
+        of_second = float(share)
+    except ValueError:
+        of_second = -1
+    if not 0 <= of_second <= 1:
+        sys.exit(f"SHARE is {share}, expected a number from 0 to 1")
+    share = of_second
     prefix, origin = NETWORKS[network]
     entries, data = load(first)
     others, other_data = load(second)
     about, of_other = entries.setdefault("__metadata__", {}), others.get("__metadata__", {})
     about[origin] = json.dumps({"share": share} | {key: of_other.get(key, "") for key in ("git", "seed", "step", "version")})
+    configured = prefix.removesuffix(".")
+    if about.get(configured) != of_other.get(configured):
+        sys.exit(f"{configured}: {about.get(configured)} and {of_other.get(configured)}, expected one configuration")
     names = [name for name in entries if name.startswith(prefix)]
     if not names:
         sys.exit(f"{first}: no tensor of a {network}, expected some whose names begin with '{prefix}'")

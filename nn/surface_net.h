@@ -14,8 +14,8 @@ namespace satsurf::nn {
 enum class SurfaceCandidate : Index {
   mode,    ///< the densest mode of the surfels of a cell
   second,  ///< the densest of those that are no members of it; often none
-  low,     ///< the tenth of them lie below
-  high,    ///< the tenth of them lie above
+  low,     ///< a tenth of their weight lies below
+  high,    ///< a tenth of it lies above
   around,  ///< the median of the modes nearby, smooth; there is one in holes, too
   ground,  ///< the level of the ground
 };
@@ -43,7 +43,7 @@ enum class SurfacePlane : Index {
   range,    ///< between the darkest and the brightest of them
   cell,     ///< logarithm of the cell's size in pixels on the ground
   /// K: the images that show each candidate with nothing on the way, a quarter of their number. What
-  /// stands on the way is what the modes say.
+  /// stands on the way is what the modes say, and in holes `around`.
   seen,
   seen_disagreement = seen + kSurfaceCandidates,  ///< K: `disagreement` among those
   /// K: their mean brightness, as `locally_normalised` makes it; 0 of none.
@@ -51,7 +51,8 @@ enum class SurfacePlane : Index {
   count = brightness + kSurfaceCandidates  ///< number of planes
 };
 inline constexpr Index kSurfacePlanes = static_cast<Index>(SurfacePlane::count);
-/// `views` of two images. Where fewer show a cell there is no surface.
+/// `views` of two images. Where fewer show a cell it teaches nothing, and there is no surface unless two
+/// show it at the height that is found.
 inline constexpr float kViewsOfTwo = 0.5f;
 
 /// A surface before the network has looked at it.

@@ -35,7 +35,6 @@ std::array<rpc::Pixel, 9> outline(const scene::View& v) {
 template <class F>
 scene::Polygon common_outline(const scene::Scene& scene, std::span<const double> heights,
                               F&& sees) {
-  // fine enough to place tiles; the exact rim comes from the surfels themselves
   constexpr Index kGrid = 128;
   std::vector<std::array<double, 2>> corners;
   for (const double z : heights) {

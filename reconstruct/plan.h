@@ -63,12 +63,13 @@ inline constexpr Index kWholeImage = 1280;
 struct ReconstructOptions {
   Surface surface = Surface::automatic;
   const nn::SurfaceModel* network = nullptr;  ///< that refines; none for the other kinds
-  double resolution = 0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel
+  double resolution =
+      0;  ///< DSM cell, m; 0: the mean ground footprint of a source pixel, to 0.05 m
   /// Easting and northing from which the cells of the views' common ground are whole cells away, m.
   std::array<double, 2> cell_corner{};
   /// Window side, px; 0: the whole image up to 1280, else overlapping tiles of 768.
   Index tile = 0;
-  /// The cells to make, in windows of this size; none: those of the views' common ground.
+  /// The cells to make, in windows of this size; none: see ReconstructPlan::grid.
   std::optional<Grid> grid;
   scene::WindowSize window{};
   std::vector<WindowPlace> places;  ///< of those windows; none: one around the middle of the cells
@@ -106,7 +107,7 @@ struct ReconstructPlan {
   std::vector<Ground> tiles;                   ///< what each window answers for
   std::vector<std::array<double, 3>> middles;  ///< of each window, local m
   bool whole_images = false;                   ///< the one window of a view holds its whole image
-  double memory_bytes = 0;                     ///< of the whole program, within a tenth
+  double memory_bytes = 0;                     ///< of the whole program, within an eighth
   double surface_bytes = 0;                    ///< of it before the mesh, which may fail alone
   /// Of it while the mesh is made, 0 without one. More than `memory_bytes` where `max_memory` forbids.
   double mesh_bytes = 0;
@@ -130,8 +131,8 @@ struct WorkMemory {
 };
 WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surface surface);
 
-/// Around what at least two views show at any of some heights, to a hundredth of its side; empty where
-/// there is no such ground.
+/// Around what at least two views show at any of some heights, to a hundredth of the side of what all of
+/// them show together; empty where there is no such ground.
 /// heights  local m
 scene::Polygon outline_of_two(const scene::Scene& scene, std::span<const double> heights);
 /// That in the middle of the range of heights. Where no two images have valid pixels of one ground,

@@ -120,8 +120,8 @@ class Evidence {
 };
 
 /// The cells of the surface: those that are asked for, else those of the ground that two views show
-/// at the heights that were found. The plan knows the middle of the range of heights alone, and what
-/// lies higher or lower is seen further out on one side.
+/// at the heights that were found. The plan can only guess these, and what lies higher or
+/// lower is seen further out on one side.
 /// means  [P 3] of all surfels
 Grid cells_of(const scene::Scene& scene, const ReconstructPlan& plan,
               const ReconstructOptions& options, const Tensor& means) {

@@ -141,6 +141,7 @@ class Appearance {
     const auto [u, v] = images_[i].pixel_from_local(x, y, z);
     const Tensor& valid = images_[i].valid;
     const Index H = valid.dim(0), W = valid.dim(1), P = H * W;
+    if (W < 2 || H < 2) return false;
     if (!(u >= 0 && v >= 0 && u <= static_cast<double>(W - 1) && v <= static_cast<double>(H - 1)))
       return false;
     const Index c = std::min(static_cast<Index>(u), W - 2),

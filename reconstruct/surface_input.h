@@ -16,7 +16,7 @@ namespace satsurf::reconstruct {
 /// Disagreement: with each image's brightness as `nn::locally_normalised` makes it, read where the
 /// image shows the cell's middle at the candidate's height, the mean difference of all pairs of
 /// images that show it, halved, and that of the pair that agrees best; 1 where there is no pair. Where
-/// more than 16 show it the first 16 count. Those see it in which the modes of no other cells stand
+/// more than 16 show it the first 16 count. Those see it in which the modes of no other cells, in holes `around`, stand
 /// more than one interval above the line of sight (`sight_horizon`).
 /// means, confidence, evidence, grid  as `fuse_surfels`
 /// images  whole, with their cameras

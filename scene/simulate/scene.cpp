@@ -307,11 +307,13 @@ SimulatedScene make_scene(const SimulateConfig& config, std::uint64_t seed, Inde
 }  // namespace
 
 SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index) {
+  check_config(config);
   return make_scene(config, seed, index, nullptr);
 }
 
 SimulatedScene simulate_on_surface(const GivenSurface& surface, const SimulateConfig& config,
                                    std::uint64_t seed, Index index) {
+  check_config(config);
   return make_scene(config, seed, index, &surface);
 }
 

@@ -137,7 +137,7 @@ struct SimulatedScene {
 };
 
 /// Scene number `index` of a seed: a pure function of the arguments, for any number of threads.
-/// throws  ConfigError if no kind is to choose from; Error for more than fits into memory
+/// throws  ConfigError as `check_config`; Error for more than fits into memory
 SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index);
 
 /// A surface somebody measured, to be lit and looked at instead of a made-up one.
@@ -154,7 +154,8 @@ GivenSurface read_surface(const std::filesystem::path& dsm, const std::filesyste
 
 /// Scene number `index` of a seed on a given surface, with made-up materials, light and cameras:
 /// another part of it for every scene, mirrored at its edges where the views reach beyond. The
-/// configuration's kinds, relief_max, tallest_max and water say nothing here.
+/// configuration's relief_max, tallest_max, water, dark and crags say nothing here, and its kinds only how
+/// many pixels of the images are saturated.
 /// throws  ConfigError, ShapeError; Error for more than fits into memory
 SimulatedScene simulate_on_surface(const GivenSurface& surface, const SimulateConfig& config,
                                    std::uint64_t seed, Index index);
