@@ -7,6 +7,7 @@
 #include "satsurf/rpc/fit.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <numeric>
@@ -25,29 +26,87 @@ constexpr float kWhole = 0.9f * static_cast<float>(HeightSweep::kPatch);
 constexpr float kTexture = 1e-5f;  // variance of a window that is not flat
 constexpr Index kGrain = 1 << 12;  // pixels of one piece of work
 
-/// Sums over (2 r + 1)^2 windows by running sums; windows are cut at the border.
-Tensor box_sum(const Tensor& t) {
-  constexpr Index r = HeightSweep::kRadius;
-  const Index H = t.dim(0), W = t.dim(1);
-  const Index stride = W + 1;
-  std::vector<double> integral(static_cast<std::size_t>((H + 1) * stride), 0);
-  for (Index y = 0; y < H; ++y) {
-    const double* const above = integral.data() + y * stride;
-    double* const row = integral.data() + (y + 1) * stride;
-    for (Index x = 0; x < W; ++x)
-      row[x + 1] = static_cast<double>(t[y * W + x]) + above[x + 1] + row[x] - above[x];
+/// Sums over the windows around the pixels of one row, of several maps at once.
+class WindowSums {
+ public:
+  /// Keeps a reference to the maps.
+  /// maps  [C H W]
+  explicit WindowSums(const Tensor& maps)
+      : maps_(maps),
+        sums_({maps.dim(0), maps.dim(2)}),
+        none_(static_cast<std::size_t>(maps.dim(2)), 0.f),
+        columns_(static_cast<std::size_t>(maps.dim(2) + 2 * kReach), 0.f) {}
+
+  /// Those of one row, [C W]; windows are cut at the border.
+  const Tensor& row(Index y) {
+    const Index C = maps_.dim(0), H = maps_.dim(1), W = maps_.dim(2);
+    for (Index c = 0; c < C; ++c) {
+      std::array<const float*, kSide> rows;
+      for (Index k = 0; k < kSide; ++k) {
+        const Index at = y + k - kReach;
+        rows[static_cast<std::size_t>(k)] =
+            at < 0 || at >= H ? none_.data() : maps_.data() + (c * H + at) * W;
+      }
+      add_up(rows, W, columns_.data() + kReach);
+      std::array<const float*, kSide> shifted;
+      for (std::size_t k = 0; k < shifted.size(); ++k) shifted[k] = columns_.data() + k;
+      add_up(shifted, W, sums_.data() + c * W);
+    }
+    return sums_;
   }
-  auto out = Tensor::uninitialised(t.shape());
-  for (Index y = 0; y < H; ++y) {
-    const double* const top = integral.data() + std::max<Index>(0, y - r) * stride;
-    const double* const bottom = integral.data() + std::min(H, y + r + 1) * stride;
-    for (Index x = 0; x < W; ++x) {
-      const Index x0 = std::max<Index>(0, x - r), x1 = std::min(W, x + r + 1);
-      out[y * W + x] = static_cast<float>(bottom[x1] - top[x1] - bottom[x0] + top[x0]);
+
+ private:
+  static constexpr Index kReach = HeightSweep::kRadius, kSide = 2 * kReach + 1;
+
+  static void add_up(const std::array<const float*, kSide>& terms, Index n,
+                     float* __restrict__ out) {
+    static_assert(kSide == 7);
+    const auto [a, b, c, d, e, f, g] = terms;
+    for (Index i = 0; i < n; ++i) out[i] = ((a[i] + b[i]) + (c[i] + d[i])) + ((e[i] + f[i]) + g[i]);
+  }
+
+  const Tensor& maps_;
+  Tensor sums_;
+  std::vector<float> none_, columns_;  ///< columns have kReach zeros on either side
+};
+
+/// Correlations of W windows from their sums of 1, a, b, a a, b b and a b, each [W]; -1 where little
+/// was seen or nothing stands out. Without a branch, so that it works on several windows at once.
+void correlate(const float* sums, Index W, float* __restrict__ out) {
+  const float *seen = sums, *a = sums + W, *b = sums + 2 * W, *aa = sums + 3 * W,
+              *bb = sums + 4 * W, *ab = sums + 5 * W;
+  for (Index x = 0; x < W; ++x) {
+    const float n = seen[x] > 1 ? seen[x] : 1.f, ma = a[x] / n, mb = b[x] / n,
+                va = aa[x] / n - ma * ma, vb = bb[x] / n - mb * mb,
+                da = va > kTexture ? va : kTexture, db = vb > kTexture ? vb : kTexture,
+                r = (ab[x] / n - ma * mb) / std::sqrt(da * db);
+    const float least = va < vb ? va : vb, known = least < kTexture ? -1.f : r;
+    out[x] = n < kWhole ? -1.f : known;
+  }
+}
+
+/// A map of three coordinates along a row of the first.
+class AlongRow {
+ public:
+  AlongRow(const Quadratic& map, double y, double z)
+      : offset_(map.offset[0]), scale_(map.scale[0]) {
+    const double v = (y - map.offset[1]) / map.scale[1], w = (z - map.offset[2]) / map.scale[2];
+    for (std::size_t k = 0; k < 2; ++k) {
+      const auto& c = map.coeff[k];
+      terms_[k] = {c[0] + c[2] * v + c[3] * w + c[7] * v * v + c[8] * v * w + c[9] * w * w,
+                   c[1] + c[5] * v + c[6] * w, c[4]};
     }
   }
-  return out;
-}
+  std::array<double, 2> operator()(double x) const {
+    const double u = (x - offset_) / scale_;
+    return {terms_[0][0] + u * (terms_[0][1] + u * terms_[0][2]),
+            terms_[1][0] + u * (terms_[1][1] + u * terms_[1][2])};
+  }
+
+ private:
+  double offset_, scale_;
+  std::array<std::array<double, 3>, 2> terms_{};  ///< constant, linear, quadratic
+};
 
 /// What the views say of one height together: the mean of their correlations, and that of the better
 /// half of them. One alone says it once.
@@ -115,14 +174,23 @@ HeightSweep::Coarse HeightSweep::coarse_of(const View& view, Index factor) {
 
 /// Windows of an image with enough contrast to be compared.
 Index HeightSweep::textured_windows(const Coarse& image) {
-  Tensor product(image.grey.shape());
-  for (Index i = 0; i < image.grey.count(); ++i) product[i] = image.grey[i] * image.grey[i];
-  const Tensor sum = box_sum(image.grey), sum2 = box_sum(product), n = box_sum(image.valid);
+  const Index H = image.grey.dim(0), W = image.grey.dim(1), P = H * W;
+  auto maps = Tensor::uninitialised({3, H, W});
+  for (Index i = 0; i < P; ++i) {
+    maps[i] = image.valid[i];
+    maps[P + i] = image.grey[i];
+    maps[2 * P + i] = image.grey[i] * image.grey[i];
+  }
+  WindowSums sums(maps);
   Index textured = 0;
-  for (Index i = 0; i < image.grey.count(); ++i) {
-    if (n[i] < kWhole) continue;
-    const float mean = sum[i] / n[i];
-    textured += sum2[i] / n[i] - mean * mean >= kTexture ? 1 : 0;
+  for (Index y = 0; y < H; ++y) {
+    const Tensor& s = sums.row(y);
+    for (Index x = 0; x < W; ++x) {
+      const float n = s[x];
+      if (n < kWhole) continue;
+      const float mean = s[W + x] / n;
+      textured += s[2 * W + x] / n - mean * mean >= kTexture ? 1 : 0;
+    }
   }
   return textured;
 }
@@ -174,16 +242,19 @@ bool HeightSweep::sees(Index view, const std::array<double, 2>& place) const {
 Tensor HeightSweep::correlation(Index view, Index other, const PixelBox& box, double z) const {
   const Coarse &a = image(view), &b = image(other);
   const Quadratic& b_from_a = transfers_.at({view, other});
-  const Index H = box.height(), W = box.width(), h = b.grey.dim(0), w = b.grey.dim(1);
-  Tensor n({H, W}), sa({H, W}), sb({H, W}), saa({H, W}), sbb({H, W}), sab({H, W});
+  const Index H = box.height(), W = box.width(), P = H * W, h = b.grey.dim(0), w = b.grey.dim(1);
+  Tensor maps({6, H, W});  // 1, a, b, a a, b b, a b where both are seen
+  const auto right = static_cast<double>(w - 1), bottom = static_cast<double>(h - 1);
   Index seen = 0;
-  for (Index y = box.y0, i = 0; y < box.y1; ++y)
+  for (Index y = box.y0, i = 0; y < box.y1; ++y) {
+    const AlongRow place(b_from_a, static_cast<double>(y), z);
     for (Index x = box.x0; x < box.x1; ++x, ++i) {
       const Index from = y * a.grey.dim(1) + x;
       if (a.valid[from] < 1) continue;
-      const auto q = b_from_a(static_cast<double>(x), static_cast<double>(y), z);
-      const Index u = floored(q[0]), v = floored(q[1]);
-      if (u < 0 || v < 0 || u + 1 >= w || v + 1 >= h || b.valid[v * w + u] < 1) continue;
+      const auto q = place(static_cast<double>(x));
+      if (!(q[0] >= 0 && q[1] >= 0 && q[0] < right && q[1] < bottom)) continue;
+      const auto u = static_cast<Index>(q[0]), v = static_cast<Index>(q[1]);
+      if (b.valid[v * w + u] < 1) continue;
       const float fu = static_cast<float>(q[0]) - static_cast<float>(u),
                   fv = static_cast<float>(q[1]) - static_cast<float>(v);
       ++seen;
@@ -191,25 +262,19 @@ Tensor HeightSweep::correlation(Index view, Index other, const PixelBox& box, do
       const float vb = (1 - fv) * ((1 - fu) * p[0] + fu * p[1]) +
                        fv * ((1 - fu) * p[w] + fu * p[w + 1]),
                   va = a.grey[from];
-      n[i] = 1;
-      sa[i] = va;
-      sb[i] = vb;
-      saa[i] = va * va;
-      sbb[i] = vb * vb;
-      sab[i] = va * vb;
+      maps[i] = 1;
+      maps[P + i] = va;
+      maps[2 * P + i] = vb;
+      maps[3 * P + i] = va * va;
+      maps[4 * P + i] = vb * vb;
+      maps[5 * P + i] = va * vb;
     }
-  Tensor out({H, W}, -1.f);
-  // Wide ranges move images apart at most of their heights.
-  if (static_cast<float>(seen) < kWhole) return out;
-  n = box_sum(n), sa = box_sum(sa), sb = box_sum(sb), saa = box_sum(saa), sbb = box_sum(sbb),
-  sab = box_sum(sab);
-  for (Index i = 0; i < H * W; ++i) {
-    if (n[i] < kWhole) continue;
-    const float ma = sa[i] / n[i], mb = sb[i] / n[i], va = saa[i] / n[i] - ma * ma,
-                vb = sbb[i] / n[i] - mb * mb;
-    if (va < kTexture || vb < kTexture) continue;
-    out[i] = (sab[i] / n[i] - ma * mb) / std::sqrt(va * vb);
   }
+  // Wide ranges move images apart at most of their heights.
+  if (static_cast<float>(seen) < kWhole) return Tensor({H, W}, -1.f);
+  auto out = Tensor::uninitialised({H, W});
+  WindowSums sums(maps);
+  for (Index y = 0; y < H; ++y) correlate(sums.row(y).data(), W, out.data() + y * W);
   return out;
 }
 
