@@ -33,8 +33,7 @@ struct SimulateOptions {
     v("surface", s.surface,
       Field{.help = "take the heights from this GeoTIFF, in a zone of UTM, instead of making a "
                     "place up; --relief_max, --tallest_max, --water, --dark and --crags then say "
-                    "nothing, "
-                    "--kinds only how many pixels are saturated",
+                    "nothing, --kinds only how many pixels are saturated",
             .placeholder = "DSM"});
     v("classes", s.classes,
       Field{.help = "classes of that surface on the same grid: 2 ground, 5 trees, 6 buildings, "

@@ -100,8 +100,8 @@ struct CityPlan {
   double tallest = 30;  ///< nothing rises higher above the ground
   bool water = false;
   bool dark = false;  ///< natural surfaces are dark here and there without a shadow
-  bool crags =
-      false;  ///< rock stands out of the ground, and gullies are cut into it; or an open pit
+  /// Rock stands out of the ground, and gullies are cut into it; or it is an open pit.
+  bool crags = false;
   double x0 = 0, y0 = 0, step = 0.25;  ///< grid of the height field
   Index size = 1024;                   ///< its rows and columns
 };

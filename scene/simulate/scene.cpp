@@ -176,6 +176,7 @@ void check_size(Index cells, const SimulateConfig& config) {
 
 SimulatedScene make_scene(const SimulateConfig& config, std::uint64_t seed, Index index,
                           const GivenSurface* surface) {
+  check_config(config);
   const Rng root = Rng(seed, 0x51D).fork(static_cast<std::uint64_t>(index));
   Rng rng = root.fork(1);
   SimulatedScene scene;
@@ -307,13 +308,11 @@ SimulatedScene make_scene(const SimulateConfig& config, std::uint64_t seed, Inde
 }  // namespace
 
 SimulatedScene simulate_scene(const SimulateConfig& config, std::uint64_t seed, Index index) {
-  check_config(config);
   return make_scene(config, seed, index, nullptr);
 }
 
 SimulatedScene simulate_on_surface(const GivenSurface& surface, const SimulateConfig& config,
                                    std::uint64_t seed, Index index) {
-  check_config(config);
   return make_scene(config, seed, index, &surface);
 }
 

@@ -154,9 +154,9 @@ GivenSurface read_surface(const std::filesystem::path& dsm, const std::filesyste
 
 /// Scene number `index` of a seed on a given surface, with made-up materials, light and cameras:
 /// another part of it for every scene, mirrored at its edges where the views reach beyond. The
-/// configuration's relief_max, tallest_max, water, dark and crags say nothing here, and its kinds only how
-/// many pixels of the images are saturated.
-/// throws  ConfigError, ShapeError; Error for more than fits into memory
+/// configuration's relief_max, tallest_max, water, dark and crags say nothing here, and its kinds only
+/// how many pixels of the images are saturated.
+/// throws  ConfigError as `check_config`, ShapeError; Error for more than fits into memory
 SimulatedScene simulate_on_surface(const GivenSurface& surface, const SimulateConfig& config,
                                    std::uint64_t seed, Index index);
 
