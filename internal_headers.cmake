@@ -4,7 +4,7 @@
 set(satsurf_internal_headers
   "_kernels\\.h$"
   "/core/(simd|fields_json|files|hash|memory_limits|whole)\\.h$"
-  "/ops/weighted_sum\\.h$"
+  "/ops/weighted_sum\\.h$" "/ops/window_correlation\\.h$"
   "/ops/conv/(axes|engine|kernels|slab|weights|winograd)\\.h$"
   "/splat/bin\\.h$"
   "/rpc/(camera_check|gdal)\\.h$"

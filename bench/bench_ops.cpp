@@ -10,6 +10,7 @@
 #include "satsurf/ops/reduce.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/ops/softmax.h"
+#include "satsurf/ops/window_correlation.h"
 
 /// Everything of ops/ but the convolutions, at the network's shapes. Bytes are counted in passes
 /// over the input; a pass reads or writes it once.
@@ -200,6 +201,20 @@ OpCase attention_case(const benchmark::State& s) {
           {3.5 * flop, bytes_of(12 * map)}};
 }
 
+/// One height of the search for the range. Argument: side of the images. Counted are the two of them,
+/// what of them is valid, and the result.
+void correlate_windows(benchmark::State& state) {
+  const Index side = state.range(0);
+  const MaskedGrey a{normal({side, side}).value(), Tensor({side, side}, 1.F)},
+      b{normal({side, side}, 2).value(), Tensor({side, side}, 1.F)};
+  Quadratic map;
+  map.coeff[0] = {3.3, 1, 0.01, 0.1};
+  map.coeff[1] = {-2.4, 0, 0.99, 0.2};
+  time_row(state, {.bytes = bytes_of(5 * number(side * side))}, [&] {
+    benchmark::DoNotOptimize(window_correlation(a, b, map, {0, 0, side, side}, 5).data());
+  });
+}
+
 }  // namespace
 
 void add_op_rows() {
@@ -216,6 +231,7 @@ void add_op_rows() {
   add_op("attention", {"heads", "tokens", "width"}, {{6, 1370, 64}}, attention_case);
   add_op("matmul", {"M", "K", "N"},
          {{1369, 384, 1536}, {1369, 1536, 384}, {1370, 384, 1152}, {16384, 64, 64}}, matmul_case);
+  benchmark::RegisterBenchmark("window_correlation", correlate_windows)->ArgName("side")->Arg(256);
 }
 
 }  // namespace satsurf::bench

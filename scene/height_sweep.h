@@ -2,6 +2,7 @@
 #pragma once
 
 #include "satsurf/core/quadratic.h"
+#include "satsurf/ops/window_correlation.h"
 #include "satsurf/scene/believable_span.h"
 #include "satsurf/scene/scene.h"
 
@@ -12,14 +13,6 @@
 #include <vector>
 
 namespace satsurf::scene {
-
-/// A window of an image, px: columns x0 to x1 and rows y0 to y1, the last of each left out.
-struct PixelBox {
-  Index x0 = 0, y0 = 0, x1 = 0, y1 = 0;
-
-  Index height() const { return y1 - y0; }
-  Index width() const { return x1 - x0; }
-};
 
 /// Of every pixel the height at which it is most like the other images.
 struct BestHeights {
@@ -44,8 +37,8 @@ struct FoundPatch {
 /// are compared with the others by normalised correlation.
 class HeightSweep {
  public:
-  static constexpr Index kRadius = 3;                                     ///< px, half a window
-  static constexpr Index kPatch = (2 * kRadius + 1) * (2 * kRadius + 1);  ///< px of a window
+  static constexpr Index kRadius = ComparedWindow::kRadius;  ///< px, half a window
+  static constexpr Index kPatch = ComparedWindow::kPixels;   ///< px of a window
 
   /// scene     two views or more
   /// searched  heights that are tried, local m
@@ -79,20 +72,15 @@ class HeightSweep {
   std::vector<FoundPatch> patches(Index view, const Tensor& where, std::vector<char> counted) const;
 
  private:
-  struct Coarse {
-    Tensor grey, valid;  // [h w]
-  };
-
-  static Coarse coarse_of(const View& view, Index factor);
-  static Index textured_windows(const Coarse& image);
-  const Coarse& image(Index view) const { return images_[static_cast<std::size_t>(view)]; }
-  Tensor correlation(Index view, Index other, const PixelBox& box, double z) const;
+  static MaskedGrey coarse_of(const View& view, Index factor);
+  static Index textured_windows(const MaskedGrey& image);
+  const MaskedGrey& image(Index view) const { return images_[static_cast<std::size_t>(view)]; }
 
   const Scene& scene_;
   rpc::HeightRange searched_;
   Index factor_ = 1, steps_ = 0;
   float peak_ = 0;
-  std::vector<Coarse> images_;
+  std::vector<MaskedGrey> images_;
   mutable std::map<std::pair<Index, Index>, Quadratic> transfers_;  // as they are asked for
 };
 

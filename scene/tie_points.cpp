@@ -3,6 +3,7 @@
 
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/whole.h"
+#include "satsurf/ops/window_correlation.h"
 #include "satsurf/rpc/fit.h"
 #include "satsurf/scene/grey_pyramid.h"
 #include "satsurf/scene/view_geometry.h"
@@ -75,16 +76,8 @@ std::optional<Template> template_at(const Grey& image, const Vec& centre, const 
 /// Products of a template with `count` windows of an image side by side, the first centred at (x,
 /// y); all of them lie inside.
 void multiply_row(const Template& t, const Grey& image, Index x, Index y, Index count, float* out) {
-  const Index r = t.radius, side = 2 * r + 1;
-  std::fill(out, out + count, 0.f);
-  for (Index v = 0; v < side; ++v) {
-    const float *row = image.row(y - r + v) + (x - r), *weights = t.values.data() + v * side;
-    for (Index u = 0; u < side; ++u) {
-      const float w = weights[u];
-      const float* p = row + u;
-      for (Index k = 0; k < count; ++k) out[k] += w * p[k];
-    }
-  }
+  window_products(t.values.data(), 2 * t.radius + 1, image.row(y - t.radius) + (x - t.radius),
+                  image.width, count, out);
 }
 
 /// One over the length of the window about each of `count` pixels of a row, less its mean; 0 where
