@@ -7,7 +7,7 @@ set(satsurf_internal_headers
   "/ops/weighted_sum\\.h$" "/ops/window_correlation\\.h$"
   "/ops/conv/(axes|engine|kernels|slab|weights|winograd)\\.h$"
   "/splat/bin\\.h$"
-  "/rpc/(camera_check|gdal)\\.h$"
+  "/rpc/(camera_check|gdal|picture)\\.h$"
   "/nn/(parameter_limit|shown_pixel)\\.h$"
   "/mesh/(geometry|sampled_view)\\.h$"
   "/scene/(believable_span|grey_pyramid|height_sweep|ray_walk|satnerf|sight_lines|whu)\\.h$"

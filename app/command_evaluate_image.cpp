@@ -2,7 +2,6 @@
 #include "satsurf/app/evaluate_options.h"
 #include "satsurf/app/interrupt.h"
 #include "satsurf/app/output_folder.h"
-#include "satsurf/app/picture.h"
 #include "satsurf/app/record.h"
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/error.h"
@@ -10,6 +9,7 @@
 #include "satsurf/core/memory.h"
 #include "satsurf/evaluate/image_metrics.h"
 #include "satsurf/nn/lpips.h"
+#include "satsurf/rpc/picture.h"
 
 #include <algorithm>
 #include <cmath>
@@ -30,7 +30,7 @@ std::string size_of(const Tensor& picture) {
 /// [H W], 1 where a pixel counts: where any channel of the mask is above 0. Empty for all.
 Tensor read_mask(const EvaluateImageConfig& options, const Tensor& image) {
   if (options.mask.empty()) return {};
-  const Tensor picture = read_picture(options.mask);
+  const Tensor picture = rpc::read_picture(options.mask);
   if (picture.dim(1) != image.dim(1) || picture.dim(2) != image.dim(2))
     throw IoError(options.mask.string() + ": " + size_of(picture) + ", expected " + size_of(image) +
                   " as " + options.image.string());
@@ -70,7 +70,8 @@ void run_evaluate_image(const EvaluateImageConfig& options, const EvaluateOutput
   RunRecord record("evaluate", recorded_config(options), 0);
 
   std::optional<EndsAtSignal> stops(std::in_place);
-  const Tensor image = read_picture(options.image), reference = read_picture(options.reference);
+  const Tensor image = rpc::read_picture(options.image),
+               reference = rpc::read_picture(options.reference);
   if (image.shape() != reference.shape())
     throw IoError(options.image.string() + " and " + options.reference.string() + ": " +
                   size_of(image) + (image.dim(0) == 1 ? " grey" : " in colour") + " and " +

@@ -4,21 +4,16 @@
 #include "satsurf/core/atomic_file.h"
 #include "satsurf/core/dims.h"
 #include "satsurf/core/error.h"
+#include "satsurf/rpc/picture.h"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
+#include <cstdint>
 #include <limits>
-#include <memory>
 #include <string>
-#include <string_view>
 #include <vector>
-
-#include <OpenImageIO/color.h>
-#include <OpenImageIO/filesystem.h>
-#include <OpenImageIO/imagebuf.h>
-#include <OpenImageIO/imagebufalgo.h>
-#include <OpenImageIO/imageio.h>
 
 namespace satsurf::app {
 namespace {
@@ -32,53 +27,68 @@ float percentile(std::vector<float>& values, double share) {
   return values[static_cast<std::size_t>(at)];
 }
 
-/// Colours [H W] values that are already scaled to [0, 1]. `knots` are evenly spaced RGB triples;
-/// with none, the named map of OpenImageIO is used.
-Tensor coloured(const char* where, const Tensor& unit, const char* map,
-                const std::vector<float>& knots) {
+using Colour = std::array<float, 3>;  // sRGB in [0, 1]
+
+constexpr Colour colour_of(unsigned rgb) {
+  const auto part = [&](unsigned shift) { return static_cast<float>(rgb >> shift & 0xffU) / 255; };
+  return {part(16), part(8), part(0)};
+}
+template <std::size_t N>
+std::vector<Colour> colours_of(const unsigned (&rgb)[N]) {
+  std::vector<Colour> out;
+  for (const unsigned c : rgb) out.push_back(colour_of(c));
+  return out;
+}
+
+// Every sixteenth of the maps of matplotlib by S. van der Walt and N. Smith, which they gave to all (CC0).
+const std::vector<Colour> kViridis = colours_of(
+    {0x440154, 0x48186a, 0x472d7b, 0x424086, 0x3b528b, 0x33638d, 0x2c728e, 0x26828e, 0x21918c,
+     0x1fa088, 0x28ae80, 0x3fbc73, 0x5ec962, 0x84d44b, 0xaddc30, 0xd8e219, 0xfde725});
+const std::vector<Colour> kMagma = colours_of(
+    {0x000004, 0x0a0822, 0x1d1147, 0x36106b, 0x51127c, 0x6a1c81, 0x832681, 0x9c2e7f, 0xb73779,
+     0xd0416f, 0xe75263, 0xf56b5c, 0xfc8961, 0xfea772, 0xfec488, 0xfde2a3, 0xfcfdbf});
+const std::vector<Colour> kInferno = colours_of(
+    {0x000004, 0x0b0724, 0x210c4a, 0x3d0965, 0x57106e, 0x71196e, 0x8a226a, 0xa32c61, 0xbc3754,
+     0xd24644, 0xe45a31, 0xf1731d, 0xf98e09, 0xfcac11, 0xf9cb35, 0xf2ea69, 0xfcffa4});
+// blue - white - red, equally light at both ends
+const std::vector<Colour> kErrors{{0.02f, 0.19f, 0.55f},
+                                  {0.40f, 0.62f, 0.90f},
+                                  {0.97f, 0.97f, 0.97f},
+                                  {0.95f, 0.55f, 0.40f},
+                                  {0.60f, 0.02f, 0.10f}};
+const std::vector<Colour>&kHeights = kViridis, &kConfidence = kMagma, &kSigma = kInferno,
+      &kCounts = kViridis;
+
+/// The colour of a share of a map.
+Colour colour_at(const std::vector<Colour>& map, float share) {
+  const float at = std::clamp(share, 0.f, 1.f) * static_cast<float>(map.size() - 1);
+  const std::size_t k = std::min(static_cast<std::size_t>(at), map.size() - 2);
+  const float beyond = at - static_cast<float>(k);
+  Colour out;
+  for (std::size_t c = 0; c < 3; ++c) out[c] = (1 - beyond) * map[k][c] + beyond * map[k + 1][c];
+  return out;
+}
+
+/// Colours [H W] values that are already scaled to [0, 1]; grey where there is none.
+Tensor coloured(const char* where, const Tensor& unit, const std::vector<Colour>& map) {
   Dims dim(where);
   dim.match("map", unit, "H W");
   const Index H = dim["H"], W = dim["W"], P = H * W;
   Tensor out({3, H, W}, kGrey);
-  if (P == 0) return out;
-
-  Tensor filled = unit.clone();  // the colour map needs numbers everywhere
-  for (float& v : filled.values()) v = std::isfinite(v) ? std::clamp(v, 0.f, 1.f) : 0.f;
-  OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), 1, OIIO::TypeDesc::FLOAT);
-  const OIIO::ImageBuf source(spec, filled.data());
-  const OIIO::ImageBuf rgb =
-      knots.empty()
-          ? OIIO::ImageBufAlgo::color_map(source, 0, map)
-          : OIIO::ImageBufAlgo::color_map(source, 0, static_cast<int>(knots.size() / 3), 3, knots);
-  std::vector<float> pixels(static_cast<std::size_t>(3 * P));
-  if (rgb.has_error() ||
-      !rgb.get_pixels(OIIO::ROI(0, static_cast<int>(W), 0, static_cast<int>(H), 0, 1, 0, 3),
-                      OIIO::TypeDesc::FLOAT, pixels.data()))
-    throw Error(std::string(where) + ": " + rgb.geterror());
-  if (knots.empty())  // the library's maps are linear light, a PNG is not
-    for (float& v : pixels) v = OIIO::linear_to_sRGB(v);
-  for (Index i = 0; i < P; ++i)
-    if (std::isfinite(unit[i]))
-      for (Index c = 0; c < 3; ++c) out[c * P + i] = pixels[static_cast<std::size_t>(3 * i + c)];
+  for (Index i = 0; i < P; ++i) {
+    if (!std::isfinite(unit[i])) continue;
+    const Colour colour = colour_at(map, unit[i]);
+    for (Index c = 0; c < 3; ++c) out[c * P + i] = colour[static_cast<std::size_t>(c)];
+  }
   return out;
 }
 
-constexpr const char *kHeights = "viridis", *kConfidence = "magma", *kSigma = "inferno",
-                     *kCounts = "viridis";
-// blue - white - red, equally light at both ends
-const std::vector<float> kErrors{0.02f, 0.19f, 0.55f, 0.40f, 0.62f, 0.90f, 0.97f, 0.97f,
-                                 0.97f, 0.95f, 0.55f, 0.40f, 0.60f, 0.02f, 0.10f};
-
 /// The colours of a map, low to high.
-std::vector<std::array<float, 3>> ramp(const char* map, const std::vector<float>& knots = {}) {
-  constexpr Index kColours = 33;
-  Tensor unit({1, kColours});
-  for (Index i = 0; i < kColours; ++i)
-    unit[i] = static_cast<float>(i) / static_cast<float>(kColours - 1);
-  const Tensor rgb = coloured("ramp", unit, map, knots);
-  std::vector<std::array<float, 3>> out;
-  for (Index i = 0; i < kColours; ++i)
-    out.push_back({rgb[i], rgb[kColours + i], rgb[2 * kColours + i]});
+std::vector<Colour> ramp(const std::vector<Colour>& map) {
+  constexpr int kColours = 33;
+  std::vector<Colour> out;
+  for (int i = 0; i < kColours; ++i)
+    out.push_back(colour_at(map, static_cast<float>(i) / static_cast<float>(kColours - 1)));
   return out;
 }
 
@@ -97,38 +107,22 @@ std::vector<float> known_of(const Tensor& values) {
   return known;
 }
 
-/// The bytes of a picture as a format of the library has them.
-std::string encoded(const std::string& where, const Tensor& picture, const char* format) {
+/// The bytes of a picture's file.
+std::string encoded(const std::string& where, const Tensor& picture, rpc::PictureFormat format) {
   const bool one = picture.rank() == 2;
   Dims dim(where);
   dim.match("picture", picture, one ? "H W" : "3 H W");
   const Index H = dim["H"], W = dim["W"], C = one ? 1 : 3, P = H * W;
   if (P == 0)
     throw ShapeError(where + ": picture has shape " + picture.shape().str() + ", expected pixels");
-  std::vector<unsigned char> bytes(static_cast<std::size_t>(C * P));
+  std::vector<std::uint8_t> bytes(static_cast<std::size_t>(C * P));
   for (Index i = 0; i < P; ++i)
     for (Index c = 0; c < C; ++c) {
       const float v = picture[c * P + i];
-      bytes[static_cast<std::size_t>(i * C + c)] = static_cast<unsigned char>(
+      bytes[static_cast<std::size_t>(i * C + c)] = static_cast<std::uint8_t>(
           255 * (std::isfinite(v) ? std::clamp(v, 0.f, 1.f) : kGrey) + 0.5f);
     }
-  std::vector<unsigned char> made;
-  OIIO::Filesystem::IOVecOutput memory(made);
-  const std::unique_ptr<OIIO::ImageOutput> out = OIIO::ImageOutput::create(format);
-  if (!out) throw IoError(where + ": " + OIIO::geterror());
-  OIIO::ImageSpec spec(static_cast<int>(W), static_cast<int>(H), static_cast<int>(C),
-                       OIIO::TypeDesc::UINT8);
-  if (std::string_view(format) == "png") {
-    spec.attribute("png:compressionLevel", 4);  // of a preview time counts more than bytes
-  } else {
-    spec.attribute("Compression", "jpeg:85");
-    spec.attribute("jpeg:subsampling", "4:4:4");
-  }
-  out->set_ioproxy(&memory);
-  if (!out->open(std::string("picture.") + format, spec) ||
-      !out->write_image(OIIO::TypeDesc::UINT8, bytes.data()) || !out->close())
-    throw IoError(where + ": " + out->geterror());
-  return {reinterpret_cast<const char*>(made.data()), made.size()};
+  return rpc::encoded_picture(where, bytes, H, W, C, format);
 }
 
 }  // namespace
@@ -164,7 +158,7 @@ std::vector<std::array<float, 3>> count_colours(Index most) {
 }
 
 ColourScale error_scale(double limit) {
-  return {"error, m: blue too low, red too high", -limit, limit, true, true, ramp("", kErrors)};
+  return {"error, m: blue too low, red too high", -limit, limit, true, true, ramp(kErrors)};
 }
 
 Tensor block_means(const Tensor& values, Index block) {
@@ -200,7 +194,7 @@ Tensor stretched_picture(const Tensor& picture) {
 
 Tensor height_picture(const Tensor& z) {
   const ColourScale scale = height_scale(z, 0);
-  return coloured("height_picture", scaled(z, scale.low, scale.high), kHeights, {});
+  return coloured("height_picture", scaled(z, scale.low, scale.high), kHeights);
 }
 
 Tensor hillshade_picture(const Tensor& z, double step) {
@@ -235,28 +229,32 @@ Tensor hillshade_picture(const Tensor& z, double step) {
 }
 
 Tensor confidence_picture(const Tensor& confidence) {
-  return coloured("confidence_picture", confidence, kConfidence, {});
+  return coloured("confidence_picture", confidence, kConfidence);
 }
 
 Tensor sigma_picture(const Tensor& sigma) {
-  return coloured("sigma_picture", scaled(sigma, 0, sigma_scale(sigma).high), kSigma, {});
+  return coloured("sigma_picture", scaled(sigma, 0, sigma_scale(sigma).high), kSigma);
 }
 
 Tensor count_picture(const Tensor& views, Index most) {
   return coloured("count_picture", scaled(views, 0, static_cast<double>(std::max<Index>(most, 1))),
-                  kCounts, {});
+                  kCounts);
 }
 
 Tensor error_picture(const Tensor& error, double limit) {
-  return coloured("error_picture", scaled(error, -limit, limit), "", kErrors);
+  return coloured("error_picture", scaled(error, -limit, limit), kErrors);
 }
 
-std::string png_bytes(const Tensor& picture) { return encoded("png_bytes", picture, "png"); }
+std::string png_bytes(const Tensor& picture) {
+  return encoded("png_bytes", picture, rpc::PictureFormat::png);
+}
 
-std::string jpeg_bytes(const Tensor& picture) { return encoded("jpeg_bytes", picture, "jpg"); }
+std::string jpeg_bytes(const Tensor& picture) {
+  return encoded("jpeg_bytes", picture, rpc::PictureFormat::jpeg);
+}
 
 void write_png(const std::filesystem::path& path, const Tensor& picture) {
-  atomic_write(path, encoded("write_png: " + path.string(), picture, "png"));
+  atomic_write(path, encoded("write_png: " + path.string(), picture, rpc::PictureFormat::png));
 }
 
 }  // namespace satsurf::app

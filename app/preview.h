@@ -65,7 +65,7 @@ Tensor error_picture(const Tensor& error, double limit = 5);
 /// picture  [3 H W] or [H W] in [0, 1]
 /// throws   IoError, ShapeError
 std::string png_bytes(const Tensor& picture);
-/// The same as a JPEG of high quality, with colours at full resolution.
+/// The same as a JPEG of high quality.
 std::string jpeg_bytes(const Tensor& picture);
 
 /// Writes an 8-bit PNG; values outside [0, 1] are clipped, NaN becomes grey. The old file or the

@@ -62,10 +62,13 @@ void compare(const SsimTerms<T>& terms, const T* const* filtered, const T* count
     const Batch<T> mx = across(terms, filtered[0] + i), my = across(terms, filtered[1] + i);
     const Batch<T> xx = across(terms, filtered[2] + i), yy = across(terms, filtered[3] + i);
     const Batch<T> xy = across(terms, filtered[4] + i);
-    const Batch<T> vx = scale * (xx - mx * mx), vy = scale * (yy - my * my);
-    const Batch<T> cov = scale * (xy - mx * my), means = mx * my;
-    const Batch<T> a1 = (means + means) + c1, a2 = (cov + cov) + c2;
-    const Batch<T> b1 = (mx * mx + my * my) + c1, b2 = (vx + vy) + c2;
+    // Above and below alike, each product rounded or not as the other: of an image and itself they are
+    // equal.
+    const Batch<T> vx = xsimd::fnma(mx, mx, xx), vy = xsimd::fnma(my, my, yy),
+                   cov = xsimd::fnma(mx, my, xy);
+    const Batch<T> a1 = xsimd::fma(mx, my, mx * my) + c1, b1 = xsimd::fma(mx, mx, my * my) + c1;
+    const Batch<T> a2 = xsimd::fma(scale, cov, scale * cov) + c2,
+                   b2 = xsimd::fma(scale, vx, scale * vy) + c2;
     const Batch<T> below = b1 * b2, similar = (a1 * a2) / below;
     const auto in = load(counts + i, k) != zero;
     total.add(xsimd::select(in, similar, zero), xsimd::select(in, one, zero));

@@ -7,7 +7,8 @@ cd "$(dirname "$0")/.."
 preset=$1
 shift
 
-# openimageio-tools: libopenimageio-dev's CMake file insists on the programs too.
+# libopenimageio-dev: tests read with it what is written, and write what is read; its CMake file insists on the
+# programs of openimageio-tools too.
 # libboost-dev: OpenVDB's headers want it, its package does not ask for it; GDAL's brings it anyway.
 packages=(g++ cmake ninja-build pkg-config libeigen3-dev libtbb-dev libxsimd-dev nlohmann-json3-dev libgdal-dev
   libopenimageio-dev openimageio-tools libopenvdb-dev libboost-dev libnanoflann-dev libcli11-dev

@@ -14,7 +14,7 @@ set(may_train ${may_reconstruct} train)
 set(may_evaluate ${may_train} evaluate)
 set(may_app ${may_evaluate} app)
 set(may_bench ${may_reconstruct} bench)  # what lies above nn only in a build that has it
-set(readers rpc/gdal.h rpc/area.cpp rpc/crs.cpp rpc/drivers.cpp rpc/gdal_scope.cpp rpc/geoid.cpp rpc/ground_raster.cpp rpc/named_files.cpp rpc/read.cpp rpc/read_info.cpp rpc/read_rpc.cpp rpc/raster.cpp rpc/raster_open.cpp rpc/raster_write.cpp rpc/warp.cpp)  # the only ones that know GDAL
+set(readers rpc/gdal.h rpc/area.cpp rpc/crs.cpp rpc/drivers.cpp rpc/gdal_scope.cpp rpc/geoid.cpp rpc/ground_raster.cpp rpc/named_files.cpp rpc/picture.cpp rpc/read.cpp rpc/read_info.cpp rpc/read_rpc.cpp rpc/raster.cpp rpc/raster_open.cpp rpc/raster_write.cpp rpc/warp.cpp)  # the only ones that know GDAL
 
 cmake_minimum_required(VERSION 3.25)
 cmake_path(ABSOLUTE_PATH SOURCE NORMALIZE)
@@ -64,10 +64,12 @@ foreach(room core ops rpc splat nn mesh scene reconstruct train evaluate app ben
         if(NOT file IN_LIST readers)
           refuse("which belongs in ${readers}")
         endif()
-      elseif(include MATCHES "^(OpenImageIO|CLI|spdlog|fmt|openssl)/")
+      elseif(include MATCHES "^(CLI|spdlog|fmt|openssl)/")
         if(NOT room STREQUAL app)
           refuse("which belongs in app/")
         endif()
+      elseif(include MATCHES "^OpenImageIO/")
+        refuse("which only tests need: it takes a quarter of a second to load")
       elseif(include MATCHES "^(openvdb/|nanoflann)" AND NOT file MATCHES "^mesh/(surface|compare)\\.cpp$")
         refuse("which belongs in mesh/surface.cpp or mesh/compare.cpp")
       elseif(include MATCHES "^xsimd/" AND NOT file STREQUAL core/simd.h)

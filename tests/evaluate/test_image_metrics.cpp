@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "satsurf/app/picture.h"
 #include "satsurf/app/preview.h"
 #include "satsurf/core/rng.h"
 #include "satsurf/evaluate/image_metrics.h"
 #include "satsurf/evaluate/metrics.h"
+#include "satsurf/rpc/picture.h"
 
 #include <array>
 #include <cmath>
@@ -57,7 +57,8 @@ void write_picture(const std::filesystem::path& path, int W, int H, int C, OIIO:
 namespace {
 
 /// A grey TIFF in one strip behind its directory, as cameras write them: cut off, it still opens.
-std::string plain_tiff(std::uint32_t side) {
+/// zero  1 where it is black, 0 where it is white
+std::string plain_tiff(std::uint32_t side, std::uint32_t zero = 1) {
   std::string out("II*\0\x08\0\0\0", 8);
   const auto put = [&](std::uint32_t value, int bytes) {
     for (int i = 0; i < bytes; ++i) out += static_cast<char>(value >> 8 * i & 255);
@@ -69,7 +70,7 @@ std::string plain_tiff(std::uint32_t side) {
                                                         {257, kLong, side},   // height
                                                         {258, kShort, 8},     // bits
                                                         {259, kShort, 1},     // not packed
-                                                        {262, kShort, 1},     // black is zero
+                                                        {262, kShort, zero},  // black or white
                                                         {273, kLong, kData},  // the strip's place
                                                         {277, kShort, 1},     // channels
                                                         {278, kLong, side},   // rows of the strip
@@ -199,7 +200,7 @@ TEST_CASE("read_picture") {
       CAPTURE(name);
       const int W = 8 / channels, keep = channels < 3 ? 1 : 3;
       write_picture(folder / name, W, 1, channels, as, values);
-      const Tensor t = read_picture(folder / name);
+      const Tensor t = rpc::read_picture(folder / name);
       REQUIRE(t.shape() == Shape{keep, 1, W});
       for (int i = 0; i < W; ++i)
         for (int c = 0; c < keep; ++c)
@@ -207,15 +208,54 @@ TEST_CASE("read_picture") {
                 doctest::Approx(values[static_cast<std::size_t>(i * channels + c)]).epsilon(1e-5));
     }
   }
+  SUBCASE("an index stands for a colour, few bits for shares") {
+    const auto written = [&](const std::string& bytes) {
+      test::write_bytes(folder / "t.png", bytes);
+      return rpc::read_picture(folder / "t.png");
+    };
+    const auto png = [](const char* bytes, std::size_t size) { return std::string(bytes, size); };
+    const Tensor palette =
+        written(png("\211PNG\015\012\032\012\000\000\000\015IHDR\000\000\000\003\000\000\000\001"
+                    "\002\003\000\000\000f\216\374'\000\000\000\011PLTE\377\000\000\0003\000\000"
+                    "\000f\210|\343\260\000\000\000\012IDATx\332c\220\000\000\000\032\000\031\200"
+                    "\000\216\273\000\000\000\000IEND\256B`\202",
+                    88));
+    REQUIRE(palette.shape() == Shape{3, 1, 3});
+    for (Index c = 0; c < 3; ++c)
+      for (Index x = 0; x < 3; ++x)
+        CHECK(palette[3 * c + x] == doctest::Approx(c != x ? 0 : c == 0 ? 1 : c == 1 ? 0.2 : 0.4));
+    const Tensor one_bit =
+        written(png("\211PNG\015\012\032\012\000\000\000\015IHDR\000\000\000\003\000\000\000\001"
+                    "\001\000\000\000\0003\233)\031\000\000\000\012IDATx\332cX\000\000\000\242\000"
+                    "\241q\005\313A\000\000\000\000IEND\256B`\202",
+                    67));
+    REQUIRE(one_bit.shape() == Shape{1, 1, 3});
+    CHECK(one_bit[0] == 1);
+    CHECK(one_bit[1] == 0);
+    CHECK(one_bit[2] == 1);
+    const Tensor four_bits =
+        written(png("\211PNG\015\012\032\012\000\000\000\015IHDR\000\000\000\002\000\000\000\001"
+                    "\004\000\000\000\000\024\271\315W\000\000\000\012IDATx\332c\210\007\000\000a"
+                    "\000`\270I\042\203\000\000\000\000IEND\256B`\202",
+                    67));
+    REQUIRE(four_bits.shape() == Shape{1, 1, 2});
+    CHECK(four_bits[0] == doctest::Approx(5.0 / 15));
+    CHECK(four_bits[1] == 1);
+    for (const std::uint32_t zero : {0U, 1U}) {
+      const Tensor grey = written(plain_tiff(4, zero));
+      REQUIRE(grey.shape() == Shape{1, 4, 4});
+      CHECK(grey[5] == doctest::Approx(zero == 1 ? 85.0 / 255 : 170.0 / 255));
+    }
+  }
   SUBCASE("what write_png writes") {
     const Tensor t = Tensor::from({3, 1, 2}, {0, 1, 0.2f, 0.4f, 0.6f, 0.8f});
     write_png(folder / "t.png", t);
-    const Tensor back = read_picture(folder / "t.png");
+    const Tensor back = rpc::read_picture(folder / "t.png");
     for (Index i = 0; i < 6; ++i) CHECK(back[i] == doctest::Approx(t[i]));
   }
   SUBCASE("refusals name the file") {
     const auto refusal = [&](const std::string& name) {
-      return test::error_of<IoError>([&] { read_picture(folder / name); });
+      return test::error_of<IoError>([&] { rpc::read_picture(folder / name); });
     };
     const std::string at = (folder / "").string();
     CHECK(refusal("gone.png") ==
@@ -257,7 +297,7 @@ TEST_CASE("read_picture") {
     }
     const std::string tiff = plain_tiff(64);
     test::write_bytes(folder / "whole.tif", tiff);
-    CHECK(read_picture(folder / "whole.tif").shape() == Shape{1, 64, 64});
+    CHECK(rpc::read_picture(folder / "whole.tif").shape() == Shape{1, 64, 64});
     for (const std::size_t keep : {std::size_t{150}, tiff.size() / 2, tiff.size() - 1}) {
       test::write_bytes(folder / "cut.tif", tiff.substr(0, keep));
       const std::string text = refusal("cut.tif");
@@ -275,8 +315,9 @@ TEST_CASE("read_picture") {
 TEST_CASE("lpips has the published values") {
   const std::filesystem::path folder = lpips_folder();
   if (folder.empty()) return;
-  const Tensor ref = read_picture(folder / "ex_ref.png"), p0 = read_picture(folder / "ex_p0.png"),
-               p1 = read_picture(folder / "ex_p1.png");
+  const Tensor ref = rpc::read_picture(folder / "ex_ref.png"),
+               p0 = rpc::read_picture(folder / "ex_p0.png"),
+               p1 = rpc::read_picture(folder / "ex_p1.png");
   struct Published {
     const char* backbone;
     double p0, p1;

@@ -17,8 +17,8 @@ case ${1:-} in
   [0-9]*) length=-max_total_time=$1 && shift ;;
 esac
 # Those that need readers alone, and those that make something of what was read.
-readers='safetensors surfels_ply mesh_ply pointing camera_file satnerf raster sidecar dfc_grid area'
-others='weights json tile dataset cameras scene picture'
+readers='safetensors surfels_ply mesh_ply pointing camera_file satnerf raster sidecar dfc_grid area picture'
+others='weights json tile dataset cameras scene'
 known=$readers\ $others
 targets=${*:-$known}
 [ "$targets" = readers ] && targets=$readers
