@@ -4,9 +4,9 @@
 
     lies.py PROGRAM [NAME...]
 
-Each is to be refused with exit code 1 and one line that names the file, within two seconds, with at most 200 MB of memory and
-twenty times the file, and without a word to the network. Commit a844689 fails every one of them. Only the standard library is
-used; the files that are changed here PROGRAM made itself.
+Each is to be refused with exit code 1 and one line that names the file, within two seconds of a processor and ten of
+waiting, with at most 200 MB of memory and twenty times the file, and without a word to the network. Commit a844689 fails
+every one of them. Only the standard library is used; the files that are changed here PROGRAM made itself.
 """
 import json
 import math
@@ -25,7 +25,8 @@ import time
 import zlib
 from pathlib import Path
 
-SECONDS, BYTES, PER_BYTE = 2.0, 200e6, 20
+SECONDS, BYTES, PER_BYTE = 2.0, 200e6, 20  # seconds of a processor: other work may have the machine
+WAITED = 5 * SECONDS
 
 
 def tensors_of(path):
@@ -405,7 +406,7 @@ class Lies:
 
 
 def measure(command):
-    """Exit code (negative for a signal), words, seconds and peak memory in bytes."""
+    """Exit code (negative for a signal), words, seconds, those of a processor and peak memory in bytes."""
     with open("words", "w+b") as words:
         start = time.monotonic()
         child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=words)
@@ -416,7 +417,8 @@ def measure(command):
         killer.cancel()
         words.seek(0)
         text = words.read().decode(errors="replace")
-    return os.waitstatus_to_exitcode(status), text, seconds, usage.ru_maxrss * 1024.0
+    worked = usage.ru_utime + usage.ru_stime
+    return os.waitstatus_to_exitcode(status), text, seconds, worked, usage.ru_maxrss * 1024.0
 
 
 def complaint(lies, name):
@@ -424,7 +426,7 @@ def complaint(lies, name):
     before = lies.listener.visits
     command, words = getattr(lies, name)()
     bytes_ = sum(os.path.getsize(a) for a in command if os.path.isfile(a))
-    rc, text, seconds, memory = measure([lies.program, *command])
+    rc, text, seconds, worked, memory = measure([lies.program, *command])
     lines = [line for line in text.splitlines() if line.startswith("satsurf: ")]
     if rc < 0:
         return f"ended by {signal.Signals(-rc).name} after {seconds:.1f} s"
@@ -434,8 +436,8 @@ def complaint(lies, name):
         return f"its words are '{lines[0][:150]}', expected '{words}'"
     if re.search(r"std::|basic_|json\.exception|filesystem error", lines[0]):
         return f"an exception of another library: '{lines[0][:150]}'"
-    if seconds > SECONDS or memory > BYTES + PER_BYTE * bytes_:
-        return f"took {seconds:.1f} s and {memory / 1e6:.0f} MB for {bytes_} bytes"
+    if worked > SECONDS or seconds > WAITED or memory > BYTES + PER_BYTE * bytes_:
+        return f"took {seconds:.1f} s, {worked:.1f} s of a processor and {memory / 1e6:.0f} MB for {bytes_} bytes"
     if lies.listener.visits != before:
         return "asked the network"
     if Path("no").exists() or Path("no.png").exists():
