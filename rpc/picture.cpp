@@ -172,7 +172,6 @@ Tensor read_picture(const std::filesystem::path& path) {
       refuse(described(of) + " in a file of " + std::to_string(bytes) + " bytes");
   };
   if (driver == "JPEG") check_packing(jpeg_size(path));
-  register_drivers();
   const GdalScope scope;
   // else the rest of a JPEG that was cut off is grey
   const CPLConfigOptionSetter strict("GDAL_ERROR_ON_LIBJPEG_WARNING", "YES", true);
@@ -206,7 +205,6 @@ Tensor read_picture(const std::filesystem::path& path) {
 std::string encoded_picture(const std::string& where, std::vector<std::uint8_t>& pixels,
                             Index height, Index width, Index channels, PictureFormat format) {
   const auto refuse = [&] { throw IoError(where + ": " + gdal_error()); };
-  register_drivers();
   const GdalScope scope;
   GDALDriverManager& manager = *GetGDALDriverManager();
   GDALDriver *memory = manager.GetDriverByName("MEM"),

@@ -115,7 +115,7 @@ TEST_CASE("window_correlation of an image with itself is 1 where there is textur
     for (Index x = 0; x < 30; ++x) {
       CAPTURE(x);
       CAPTURE(y);
-      // Windows at the border are cut: one row or column less still is nine tenths, but for two.
+      // At the border windows are cut, and with a row or column less fewer than nine tenths count.
       const bool whole = x >= kRadius && y >= kRadius && x < 30 - kRadius && y < 20 - kRadius;
       if (!whole || x >= 15 + kRadius)
         CHECK(c[y * 30 + x] == -1.f);
