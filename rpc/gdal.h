@@ -23,6 +23,7 @@
 #include <cpl_error.h>
 #include <cpl_minixml.h>
 #include <cpl_string.h>
+#include <cpl_vsi.h>
 #include <gdal_priv.h>
 
 namespace satsurf::rpc {
@@ -90,6 +91,23 @@ struct DatasetCloser {
   void operator()(GDALDataset* d) const { GDALClose(GDALDataset::ToHandle(d)); }
 };
 using DatasetPtr = std::unique_ptr<GDALDataset, DatasetCloser>;
+
+/// A name for a file of GDAL's in memory; what was written there goes with it.
+class MemoryFile {
+ public:
+  /// ending  of the name
+  explicit MemoryFile(const std::string& ending = "");
+  ~MemoryFile() { VSIUnlink(name_.c_str()); }
+  MemoryFile(const MemoryFile&) = delete;
+  MemoryFile& operator=(const MemoryFile&) = delete;
+
+  const std::string& name() const { return name_; }
+  /// What was written, as long as this lives; nothing if there is no such file.
+  std::optional<std::string_view> bytes() const;
+
+ private:
+  std::string name_;
+};
 
 struct XmlDeleter {
   void operator()(CPLXMLNode* node) const { CPLDestroyXMLNode(node); }

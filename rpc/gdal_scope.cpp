@@ -5,6 +5,7 @@
 #include "satsurf/rpc/drivers.h"
 #include "satsurf/rpc/gdal.h"
 
+#include <atomic>
 #include <cerrno>
 #include <cstdlib>
 #include <string>
@@ -140,6 +141,18 @@ void check_refused(const std::filesystem::path& path) {
   throw IoError(path.string() + ": " +
                 (itself ? "" : "\"" + what.file.substr(0, 200) + "\", which belongs to it: ") +
                 what.why);
+}
+
+MemoryFile::MemoryFile(const std::string& ending) {
+  static std::atomic<unsigned> count{0};
+  name_ = "/vsimem/satsurf_" + std::to_string(count++) + ending;
+}
+
+std::optional<std::string_view> MemoryFile::bytes() const {
+  vsi_l_offset size = 0;
+  const GByte* first = VSIGetMemFileBuffer(name_.c_str(), &size, FALSE);
+  if (first == nullptr) return std::nullopt;
+  return std::string_view(reinterpret_cast<const char*>(first), static_cast<std::size_t>(size));
 }
 
 }  // namespace satsurf::rpc

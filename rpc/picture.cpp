@@ -8,7 +8,6 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <cstdint>
 #include <cstdlib>
 #include <fstream>
@@ -131,20 +130,6 @@ Tensor scaled(Tensor values, GDALRasterBand& of) {
   return values;
 }
 
-/// A file in memory, as long as one lives.
-class InMemory {
- public:
-  explicit InMemory(std::string name) : name_(std::move(name)) {}
-  ~InMemory() { VSIUnlink(name_.c_str()); }
-  InMemory(const InMemory&) = delete;
-  InMemory& operator=(const InMemory&) = delete;
-
-  const std::string& name() const { return name_; }
-
- private:
-  std::string name_;
-};
-
 }  // namespace
 
 Tensor read_picture(const std::filesystem::path& path) {
@@ -222,18 +207,16 @@ std::string encoded_picture(const std::string& where, std::vector<std::uint8_t>&
     options.SetNameValue("ZLEVEL", "4");  // of a preview time counts more than bytes
   else
     options.SetNameValue("QUALITY", "90");
-  static std::atomic<unsigned> count{0};
-  const InMemory file("/vsimem/satsurf_picture_" + std::to_string(count++));
+  const MemoryFile file;
   CPLErrorReset();
   DatasetPtr made(
       driver->CreateCopy(file.name().c_str(), from.get(), FALSE, options, nullptr, nullptr));
   if (!made) refuse();
   made.reset();
   if (CPLGetLastErrorType() >= CE_Failure) refuse();
-  vsi_l_offset size = 0;
-  const GByte* bytes = VSIGetMemFileBuffer(file.name().c_str(), &size, FALSE);
-  if (bytes == nullptr) refuse();
-  return {reinterpret_cast<const char*>(bytes), static_cast<std::size_t>(size)};
+  const auto bytes = file.bytes();
+  if (!bytes) refuse();
+  return std::string(*bytes);
 }
 
 }  // namespace satsurf::rpc

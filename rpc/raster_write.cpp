@@ -5,7 +5,6 @@
 #include "satsurf/rpc/raster.h"
 
 #include <algorithm>
-#include <atomic>
 #include <cerrno>
 #include <cmath>
 #include <cstdint>
@@ -15,7 +14,6 @@
 #include <memory>
 #include <utility>
 
-#include <cpl_vsi.h>
 #include <fcntl.h>
 #include <ogr_spatialref.h>
 
@@ -48,20 +46,12 @@ class MemoryRaster {
   MemoryRaster(const fs::path& path, const char* driver, const std::array<int, 3>& size,
                GDALDataType type, const std::vector<const char*>& options = {})
       : path_(path) {
-    static std::atomic<unsigned> count{0};
-    name_ = "/vsimem/satsurf_" + std::to_string(count++) + ".tif";
     CPLStringList list;
     for (const char* o : options) list.AddString(o);
-    dataset_.reset(
-        driver_of_name(path, driver).Create(name_.c_str(), size[0], size[1], size[2], type, list));
+    dataset_.reset(driver_of_name(path, driver)
+                       .Create(file_.name().c_str(), size[0], size[1], size[2], type, list));
     if (!dataset_) refuse(path);
   }
-  ~MemoryRaster() {
-    dataset_.reset();
-    VSIUnlink(name_.c_str());
-  }
-  MemoryRaster(const MemoryRaster&) = delete;
-  MemoryRaster& operator=(const MemoryRaster&) = delete;
 
   GDALDataset* operator->() { return dataset_.get(); }
   GDALDataset& operator*() { return *dataset_; }
@@ -72,8 +62,9 @@ class MemoryRaster {
   void convert(const char* driver, const std::vector<const char*>& options) {
     CPLStringList list;
     for (const char* o : options) list.AddString(o);
-    DatasetPtr other(driver_of_name(path_, driver)
-                         .CreateCopy(name_.c_str(), dataset_.get(), FALSE, list, nullptr, nullptr));
+    DatasetPtr other(
+        driver_of_name(path_, driver)
+            .CreateCopy(file_.name().c_str(), dataset_.get(), FALSE, list, nullptr, nullptr));
     if (!other) refuse(path_);
     dataset_ = std::move(other);
   }
@@ -82,16 +73,14 @@ class MemoryRaster {
     CPLErrorReset();
     dataset_.reset();
     if (CPLGetLastErrorType() >= CE_Failure) refuse(path_);
-    vsi_l_offset size = 0;
-    const auto* bytes = VSIGetMemFileBuffer(name_.c_str(), &size, FALSE);
+    const auto bytes = file_.bytes();
     if (!bytes) refuse(path_);
-    atomic_write(path_, std::string_view(reinterpret_cast<const char*>(bytes),
-                                         static_cast<std::size_t>(size)));
+    atomic_write(path_, *bytes);
   }
 
  private:
   fs::path path_;
-  std::string name_;
+  MemoryFile file_{".tif"};  // before the dataset, which is closed first
   DatasetPtr dataset_;
 };
 

@@ -213,31 +213,28 @@ TEST_CASE("read_picture") {
       test::write_bytes(folder / "t.png", bytes);
       return rpc::read_picture(folder / "t.png");
     };
-    const auto png = [](const char* bytes, std::size_t size) { return std::string(bytes, size); };
-    const Tensor palette =
-        written(png("\211PNG\015\012\032\012\000\000\000\015IHDR\000\000\000\003\000\000\000\001"
-                    "\002\003\000\000\000f\216\374'\000\000\000\011PLTE\377\000\000\0003\000\000"
-                    "\000f\210|\343\260\000\000\000\012IDATx\332c\220\000\000\000\032\000\031\200"
-                    "\000\216\273\000\000\000\000IEND\256B`\202",
-                    88));
+    using namespace std::string_literals;  // which hold zeros
+    const Tensor palette = written(
+        "\211PNG\015\012\032\012\000\000\000\015IHDR\000\000\000\003\000\000\000\001"
+        "\002\003\000\000\000f\216\374'\000\000\000\011PLTE\377\000\000\0003\000\000"
+        "\000f\210|\343\260\000\000\000\012IDATx\332c\220\000\000\000\032\000\031\200"
+        "\000\216\273\000\000\000\000IEND\256B`\202"s);
     REQUIRE(palette.shape() == Shape{3, 1, 3});
     for (Index c = 0; c < 3; ++c)
       for (Index x = 0; x < 3; ++x)
         CHECK(palette[3 * c + x] == doctest::Approx(c != x ? 0 : c == 0 ? 1 : c == 1 ? 0.2 : 0.4));
-    const Tensor one_bit =
-        written(png("\211PNG\015\012\032\012\000\000\000\015IHDR\000\000\000\003\000\000\000\001"
-                    "\001\000\000\000\0003\233)\031\000\000\000\012IDATx\332cX\000\000\000\242\000"
-                    "\241q\005\313A\000\000\000\000IEND\256B`\202",
-                    67));
+    const Tensor one_bit = written(
+        "\211PNG\015\012\032\012\000\000\000\015IHDR\000\000\000\003\000\000\000\001"
+        "\001\000\000\000\0003\233)\031\000\000\000\012IDATx\332cX\000\000\000\242\000"
+        "\241q\005\313A\000\000\000\000IEND\256B`\202"s);
     REQUIRE(one_bit.shape() == Shape{1, 1, 3});
     CHECK(one_bit[0] == 1);
     CHECK(one_bit[1] == 0);
     CHECK(one_bit[2] == 1);
-    const Tensor four_bits =
-        written(png("\211PNG\015\012\032\012\000\000\000\015IHDR\000\000\000\002\000\000\000\001"
-                    "\004\000\000\000\000\024\271\315W\000\000\000\012IDATx\332c\210\007\000\000a"
-                    "\000`\270I\042\203\000\000\000\000IEND\256B`\202",
-                    67));
+    const Tensor four_bits = written(
+        "\211PNG\015\012\032\012\000\000\000\015IHDR\000\000\000\002\000\000\000\001"
+        "\004\000\000\000\000\024\271\315W\000\000\000\012IDATx\332c\210\007\000\000a"
+        "\000`\270I\042\203\000\000\000\000IEND\256B`\202"s);
     REQUIRE(four_bits.shape() == Shape{1, 1, 2});
     CHECK(four_bits[0] == doctest::Approx(5.0 / 15));
     CHECK(four_bits[1] == 1);
