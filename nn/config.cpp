@@ -27,6 +27,7 @@ ModelConfig wide8() {
 ModelConfig tiny_full() {
   return {.base = 4,
           .hypotheses = {8, 8, 4},
+          .most_hypotheses = 8,
           .volume_base = 4,
           .volume_levels = 2,
           .head_width = {8, 8, 8},
@@ -46,22 +47,26 @@ ModelConfig tiny() { return matching_alone(tiny_full()); }
 ModelConfig cascade8() { return matching_alone(base8()); }
 
 ModelConfig paper() {
-  return {.context = Context::none,
+  return {.most_hypotheses = 64,
+          .context = Context::none,
           .rotation = Rotation::camera,
           .fusion_start = FusionStart::paper,
           .confidence = Confidence::raw};
 }
 
-ModelConfig mvsplat_like() { return matching_alone({.hypotheses = {128, 0, 0}}); }
+ModelConfig mvsplat_like() {
+  return matching_alone({.hypotheses = {128, 0, 0}, .most_hypotheses = 128});
+}
 
 ModelConfig hisplat_like() {
-  ModelConfig config = matching_alone({.keep = Keep::all});
+  ModelConfig config = matching_alone({.most_hypotheses = 64, .keep = Keep::all});
   config.guidance = Guidance::photometric;
   return config;
 }
 
 ModelConfig skysplat_like() {
   return {.hypotheses = {64, 0, 0},
+          .most_hypotheses = 64,
           .context = Context::none,
           .rotation = Rotation::camera,
           .fusion = Fusion::none,

@@ -18,6 +18,10 @@ struct ModelConfig {
   /// Heights per pixel at strides 4, 2, 1; 0 for a later stage that does not search but takes the
   /// heights of the one before, interpolated.
   std::array<Index, 3> hypotheses{64, 32, 8};
+  /// Of stage 1 at most: where the heights to search span more than `hypotheses` do at
+  /// `first_interval_px`, it tries more (nn::first_hypotheses).
+  Index most_hypotheses = 256;
+  double first_interval_px = 0.35;              ///< disparity between those, stage pixels
   Index volume_base = 8;                        ///< channels of the first level of each 3D U-Net
   Index volume_levels = 3;                      ///< halvings inside each 3D U-Net
   std::array<Index, 3> head_width{64, 48, 32};  ///< channels of the surfel heads
@@ -50,6 +54,17 @@ struct ModelConfig {
       Field{.help = "height hypotheses per pixel at strides 4, 2 and 1; 0 interpolates",
             .min = 0,
             .max = 256});
+    v("most_hypotheses", s.most_hypotheses,
+      Field{.help = "most of them at stride 4, which gets more where heights to search span more; "
+                    "never fewer than `hypotheses`",
+            .min = 0,
+            .max = 1024});
+    v("first_interval_px", s.first_interval_px,
+      Field{.help =
+                "disparity between neighbouring hypotheses at stride 4 from which on it gets more",
+            .unit = "stage px",
+            .min = 0.05,
+            .max = 4});
     v("volume_base", s.volume_base,
       Field{.help = "first-level channels of each 3D U-Net", .min = 1, .max = 64});
     v("volume_levels", s.volume_levels,

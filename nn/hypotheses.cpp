@@ -25,18 +25,41 @@ double mean_parallax(const NetworkInput& scene) {
   return sum / static_cast<double>(N * (N - 1));
 }
 
-std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const NetworkInput& scene) {
+Index first_hypotheses(const ModelConfig& config, double parallax) {
+  const Index least = config.hypotheses[0], most = std::max(least, config.most_hypotheses),
+              multiple = Index{1} << config.volume_levels;
+  const double apart = config.first_interval_px * static_cast<double>(kStrides[0]),
+               steps = std::ceil((parallax / apart + 1) / static_cast<double>(multiple));
+  if (!(steps * static_cast<double>(multiple) < static_cast<double>(most)))
+    return most / multiple * multiple;
+  return std::max(least, static_cast<Index>(steps) * multiple);
+}
+
+namespace {
+
+/// Metres between the hypotheses of each stage.
+/// parallax  image pixels per metre
+/// first     hypotheses of the first stage
+std::array<double, 3> intervals_of(const ModelConfig& config, const NetworkInput& scene,
+                                   double parallax, Index first) {
   if (!scene.z_range.has_span())
     throw ConfigError("model: height range " + std::to_string(scene.z_range.low) + " to " +
                       std::to_string(scene.z_range.high) + ", expected a positive span");
   constexpr double kNoParallax = 1e-6;  // px per m; views from one direction carry no height
-  const double last = std::clamp(config.interval_px / std::max(mean_parallax(scene), kNoParallax),
+  const double last = std::clamp(config.interval_px / std::max(parallax, kNoParallax),
                                  config.interval_min, config.interval_max);
-  return {scene.z_range.span() / static_cast<double>(config.hypotheses[0] - 1), 2 * last, last};
+  return {scene.z_range.span() / static_cast<double>(first - 1), 2 * last, last};
 }
 
-std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInput& scene) {
-  const auto intervals = hypothesis_intervals(config, scene);
+}  // namespace
+
+std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInput& scene,
+                                     Wanted wanted) {
+  const double parallax = mean_parallax(scene);
+  std::array<Index, 3> hypotheses = config.hypotheses;
+  if (wanted != Wanted::surfels)
+    hypotheses[0] = first_hypotheses(config, parallax * scene.z_range.span());
+  const auto intervals = intervals_of(config, scene, parallax, hypotheses[0]);
   const PosedImage& view = scene.sources[0];
   std::array<StageGrid, 3> grids;
   double next_reach = 0;
@@ -45,11 +68,10 @@ std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInp
                 .height = view.rgb.dim(1) / kStrides[s],
                 .width = view.rgb.dim(2) / kStrides[s],
                 .stride = kStrides[s],
-                .hypotheses = config.hypotheses[s],
+                .hypotheses = hypotheses[s],
                 .interval = intervals[s],
                 .next_reach = next_reach};
-    if (config.hypotheses[s] > 0)
-      next_reach = 0.5 * static_cast<double>(config.hypotheses[s]) * intervals[s];
+    if (hypotheses[s] > 0) next_reach = 0.5 * static_cast<double>(hypotheses[s]) * intervals[s];
   }
   return grids;
 }

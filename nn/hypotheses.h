@@ -13,17 +13,21 @@ namespace satsurf::nn {
 /// returns  image pixels per metre of height
 double mean_parallax(const NetworkInput& scene);
 
-/// Distance between the hypotheses of each stage. The last stage's is `interval_px` of disparity,
-/// clipped to [interval_min, interval_max]; the second's is twice that; the first divides the
-/// scene's range evenly.
-/// returns  m, coarse to fine
-/// throws   ConfigError if the scene's height range is empty
-/// Source: after Gu et al. 2020 (CasMVSNet), with intervals by parallax instead of fixed ones.
-std::array<double, 3> hypothesis_intervals(const ModelConfig& config, const NetworkInput& scene);
+/// How many heights the first stage tries: `hypotheses[0]`, or what it takes for neighbours to be
+/// `first_interval_px` of disparity apart, up to `most_hypotheses`. So a generous range is searched
+/// as closely as a tight one. Its 3D U-Net takes any number of them.
+/// parallax  of the whole range, image pixels, see `mean_parallax`
+/// returns   a multiple of what the U-Net halves
+Index first_hypotheses(const ModelConfig& config, double parallax);
 
-/// The three stages' sizes for a scene, coarse to fine.
-/// throws  ConfigError as `hypothesis_intervals`
-std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInput& scene);
+/// The three stages' sizes for a scene, coarse to fine. Of the intervals between hypotheses the last
+/// stage's is `interval_px` of disparity, clipped to [interval_min, interval_max]; the second's is
+/// twice that; the first divides the scene's range evenly.
+/// wanted  surfels: their heads read the first stage's distribution, which then has `hypotheses[0]`
+/// throws  ConfigError if the scene's height range is empty
+/// Source: after Gu et al. 2020 (CasMVSNet), with intervals by parallax instead of fixed ones.
+std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInput& scene,
+                                     Wanted wanted = Wanted::surfels);
 
 /// The heights that one stage tries: the whole range first, then a narrow band around the surface of
 /// the stage before, without its gradient.

@@ -172,7 +172,7 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
                                                         std::vector<PartMemory>* memory,
                                                         Wanted wanted) const {
   MemoryMeter meter(memory);
-  const std::array<StageGrid, 3> grids = stage_grids(config, scene);
+  const std::array<StageGrid, 3> grids = stage_grids(config, scene, wanted);
   FeatureMaps<T> features = extract_features(scene, poll);
   meter.end("features");
 

@@ -13,14 +13,22 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <optional>
 #include <utility>
 #include <vector>
 
 namespace satsurf::reconstruct {
 namespace {
 
-constexpr Index kMostPixels = 384;  // side of the images that are looked at first
-constexpr double kLeastFactor = 4;
+/// How many times smaller the images are that are looked at: two, which still shows towers, and up to
+/// four where the range takes more than four times the least number of hypotheses even so.
+/// times    the range is of what that number spans in whole images
+/// largest  side of an image, px
+Index factor_of(double times, Index largest) {
+  constexpr double kMostPixels = 640, kMostTimes = 4, kLeast = 2, kMost = 4;
+  return static_cast<Index>(std::max(std::clamp(std::ceil(times / kMostTimes), kLeast, kMost),
+                                     std::ceil(static_cast<double>(largest) / kMostPixels)));
+}
 
 /// The scene with smaller images.
 scene::Scene smaller(const scene::Scene& scene, Index factor) {
@@ -117,54 +125,88 @@ std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& h
   return out;
 }
 
-}  // namespace
-
-double span_of_hypotheses(const nn::ModelConfig& config, const scene::Scene& scene) {
-  return span_of_hypotheses(config, scene::cameras_at(scene.views, scene.frame, middle_of(scene)));
+/// The heights on which the views of a scene agree.
+/// searched  local m
+std::vector<float> look_at(const nn::Model& model, const scene::Scene& scene,
+                           const rpc::HeightRange& searched, const Unwanted& unwanted,
+                           const std::function<void()>& poll) {
+  std::vector<Index> sources(scene.views.size());
+  std::iota(sources.begin(), sources.end(), Index{0});
+  const std::array<double, 3> middle = middle_of(scene);
+  const scene::WindowSize size =
+      scene::rounded_up(scene::largest_image(scene, scene.frame.geodetic_from_local(middle)),
+                        nn::size_multiple(model.config()));
+  const scene::Crop crop = scene::make_crop(
+      scene, {.sources = std::move(sources), .centre = middle, .size = size, .z_range = searched});
+  const auto stages = model.forward(crop.input, poll, nullptr, nn::Wanted::heights);
+  return agreed_heights(crop.input, stages[2].height.value(),
+                        nn::effective_confidence(model.config(), stages[2]), unwanted);
 }
+
+/// The span of heights but for a share on either side.
+rpc::HeightRange all_but(double share, std::vector<float> heights) {
+  const auto rank = [&](double part) {
+    const auto k = heights.begin() +
+                   static_cast<std::ptrdiff_t>(part * static_cast<double>(heights.size() - 1));
+    std::ranges::nth_element(heights, k);
+    return static_cast<double>(*k);
+  };
+  const double low = rank(share);
+  return {low, rank(1 - share)};
+}
+
+}  // namespace
 
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
                                 const std::function<void()>& poll,
                                 const std::function<Tensor(const Grid&)>& unwanted) {
   constexpr int kLooks = 3;
-  constexpr std::size_t kFewest = 200;
-  constexpr double kBelow = 10, kAbove = 20;  // m
-  const double most = span_of_hypotheses(model.config(), scene);
-  if (scene.z_range.span() <= most) return scene.z_range;
-
+  constexpr std::size_t kFewest = 200;             // heights that agree
+  constexpr double kFew = 2e-4;                    // of them are wrong, or of masts, on either side
+  constexpr double kOnlyChance = 0.2;              // of a range, at least, holds no surface
+  constexpr double kUnseen = 1.5;                  // of what the fewest hypotheses span
+  constexpr double kTall = 40, kTaller = 25;       // m
+  constexpr double kFurther = 0.7, kWorth = 0.85;  // of a range: another look, the risk
+  const std::vector<rpc::PixelJacobian> cameras =
+      scene::cameras_at(scene.views, scene.frame, middle_of(scene));
+  const double enough = span_of_hypotheses(model.config(), cameras),
+               margin = std::max(5.0, 2 / mean_parallax(cameras));  // m: two pixels or more
+  rpc::HeightRange range = scene.z_range;
+  if (range.span() < 6 * margin) return range;
   Index largest = 0;
   for (const scene::View& v : scene.views) largest = std::max({largest, v.height(), v.width()});
-  const auto factor = static_cast<Index>(std::max(
-      kLeastFactor, std::ceil(static_cast<double>(largest) / static_cast<double>(kMostPixels))));
-  scene::Scene small = smaller(scene, factor);
-  const scene::WindowSize size = scene::rounded_up(
-      scene::largest_image(small, small.frame.geodetic_from_local(middle_of(small))),
-      nn::size_multiple(model.config()));
-  std::vector<Index> sources(small.views.size());
-  std::iota(sources.begin(), sources.end(), Index{0});
   const Unwanted left_out(unwanted, scene);
-  // The narrower the range the fewer are wrong, so that the next look may narrow it further.
-  for (int look = 0; look < kLooks && small.z_range.span() > most; ++look) {
-    const rpc::HeightRange& range = small.z_range;
-    const scene::Crop crop = scene::make_crop(
-        small, {.sources = sources, .centre = middle_of(small), .size = size, .z_range = range});
-    const auto stages = model.forward(crop.input, poll, nullptr, nn::Wanted::heights);
-    std::vector<float> agreed =
-        agreed_heights(crop.input, stages[2].height.value(),
-                       nn::effective_confidence(model.config(), stages[2]), left_out);
+  std::optional<rpc::HeightRange> believed;
+  for (int look = 0; look < kLooks; ++look) {
+    const std::vector<float> agreed = look_at(
+        model, smaller(scene, factor_of(range.span() / enough, largest)), range.widened(2 * margin),
+        left_out, poll);  // the ends of a range are seldom chosen
     if (agreed.size() < kFewest) break;
-    const rpc::HeightRange found = scene::believable_span(std::move(agreed), range);
-    rpc::HeightRange next{std::max(range.low, found.low - kBelow),
-                          std::min(range.high, found.high + kAbove)};
-    // What the hypotheses span anyway costs nothing, and towers, few pixels and tall, may be there.
-    next.high = std::min(range.high, std::max(next.high, next.low + most));
-    next.low = std::max(range.low, std::min(next.low, next.high - most));
-    if (scene.z_agreed) next = hull(next, *scene.z_agreed);
-    const bool done = next.span() > 0.9 * range.span();
-    small.z_range = next;
-    if (done) break;
+    const auto within = [&](const rpc::HeightRange& found, double below, double above) {
+      rpc::HeightRange with{found.low - below, found.high + above};
+      if (scene.z_agreed) with = hull(with, *scene.z_agreed);
+      return rpc::HeightRange{std::max(range.low, with.low), std::min(range.high, with.high)};
+    };
+    // What a look over more believed stays.
+    const rpc::HeightRange found =
+        scene::believable_span(agreed, range, scene::kLargestStep, kOnlyChance);
+    believed = believed ? hull(*believed, found) : found;
+    rpc::HeightRange next = within(*believed, 2 * margin, 6 * margin);
+    // Of a very generous range small towers may not be seen yet.
+    next.high = std::min(range.high, std::max(next.high, next.low + kUnseen * enough));
+    next.low = std::max(range.low, std::min(next.low, next.high - kUnseen * enough));
+    // The narrower the range the fewer are wrong, and the more of the towers are seen.
+    if (look + 1 < kLooks && next.span() < kFurther * range.span()) {
+      range = next;
+      continue;
+    }
+    // Where some buildings are tall, others may be taller; flat ground with halls gains most.
+    const rpc::HeightRange seen = hull(*believed, all_but(kFew, agreed));
+    const double taller = seen.span() > kTall ? std::min(0.5 * seen.span(), kTaller) : 0;
+    const rpc::HeightRange last = within(seen, margin, std::max(2 * margin, taller));
+    return last.span() < kWorth * range.span() ? last : range;
   }
-  return small.z_range;
+  return range;
 }
 
 }  // namespace satsurf::reconstruct

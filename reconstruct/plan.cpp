@@ -4,6 +4,7 @@
 #include "satsurf/core/block_pool.h"
 #include "satsurf/core/error.h"
 #include "satsurf/core/memory.h"
+#include "satsurf/nn/hypotheses.h"
 #include "satsurf/scene/view_geometry.h"
 
 #include <algorithm>
@@ -179,10 +180,13 @@ WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surfa
   const Index height = size.window.height, width = size.window.width;
   const double window = static_cast<double>(size.window.count()) * static_cast<double>(views);
   const nn::Wanted wanted = wanted_of(surface);
+  nn::ModelConfig searching = model;
+  if (wanted != nn::Wanted::surfels)
+    searching.hypotheses[0] = nn::first_hypotheses(model, size.parallax);
   std::vector<nn::PartMemory> parts =
-      nn::forward_memory(model, views, height, width, wanted, kWorkers);
+      nn::forward_memory(searching, views, height, width, wanted, kWorkers);
   const double network =
-      nn::forward_bytes(model, views, height, width, wanted, kWorkers) +
+      nn::forward_bytes(searching, views, height, width, wanted, kWorkers) +
       sizeof(float) * (kView * window + kSurfel * (pixels - std::min(pixels, window)));
   const double render =
       sizeof(float) * (surface == Surface::splat     ? kSplat * pixels + kMaps * cells
@@ -259,7 +263,8 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
         *options.mesh > 0 ? *options.mesh : std::max(0.05, std::round(40 * footprint) / 20);
   WorkSize size{.views = static_cast<Index>(scene.views.size()),
                 .window = plan.window,
-                .cells = plan.grid.cells()};
+                .cells = plan.grid.cells(),
+                .parallax = mean_parallax(cameras) * scene.z_range.span()};
   plan.megapixels = 1e-6 * static_cast<double>(plan.window.count()) *
                     static_cast<double>(size.views) * static_cast<double>(plan.middles.size());
   for (const scene::View& v : scene.views) size.pixels += static_cast<double>(v.valid.count());
@@ -274,14 +279,24 @@ ReconstructPlan plan_reconstruction(const nn::ModelConfig& model, const scene::S
   return plan;
 }
 
+double mean_parallax(const std::vector<rpc::PixelJacobian>& cameras) {
+  double sum = 0;
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    const auto [east, north, up] = rpc::view_geometry(cameras[i]).direction;  // along i's ray
+    for (std::size_t j = 0; j < cameras.size(); ++j) {
+      const rpc::PixelJacobian& c = cameras[j];
+      if (j != i)
+        sum += std::hypot(c[0][0] * east + c[0][1] * north + c[0][2] * up,
+                          c[1][0] * east + c[1][1] * north + c[1][2] * up);
+    }
+  }
+  return sum / static_cast<double>(cameras.size() * (cameras.size() - 1));
+}
+
 double span_of_hypotheses(const nn::ModelConfig& config,
                           const std::vector<rpc::PixelJacobian>& cameras) {
-  constexpr double kApart = 0.8;  // stage pixels
-  double most = 0;                // pixels of parallax per metre of height
-  for (const auto& a : cameras)
-    for (const auto& b : cameras)
-      most = std::max(most, std::hypot(a[0][2] - b[0][2], a[1][2] - b[1][2]));
-  return kApart * static_cast<double>(nn::kStrides[0] * config.hypotheses[0]) / most;
+  return config.first_interval_px * static_cast<double>(nn::kStrides[0] * config.hypotheses[0]) /
+         mean_parallax(cameras);
 }
 
 void check_memory(const ReconstructPlan& plan, const scene::Scene& scene) {

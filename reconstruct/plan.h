@@ -122,6 +122,7 @@ struct WorkSize {
   double pixels = 0;         ///< of all images together
   double cells = 0;          ///< of the surface
   double columns = 0;        ///< of the mesh's voxels, 0 without one
+  double parallax = 0;       ///< of the whole range of heights, px, see `mean_parallax`
 };
 /// What a reconstruction takes of the memory.
 struct WorkMemory {
@@ -150,8 +151,11 @@ Grid grid_of(const Ground& ground, const rpc::LocalFrame& frame, double step,
 /// The side of a cell that suits pixels of this size on the ground, m, a multiple of 0.05.
 double natural_step(double footprint);
 
-/// Heights, m, that the first stage's hypotheses span when they are 0.8 stage pixels of parallax apart, in the pair of
-/// views with the most of it: closer they would not see more, further apart they miss surfaces.
+/// Mean parallax over all ordered pairs of views, pixels per metre of height.
+/// cameras  derivatives of the views, two or more
+double mean_parallax(const std::vector<rpc::PixelJacobian>& cameras);
+
+/// Heights, m, that the first stage's least number of hypotheses spans (nn::first_hypotheses).
 /// cameras  derivatives of the views
 double span_of_hypotheses(const nn::ModelConfig& config,
                           const std::vector<rpc::PixelJacobian>& cameras);

@@ -16,7 +16,7 @@ namespace satsurf::reconstruct {
 namespace {
 
 constexpr Index kOverlap = 32;       // cells; twice as many blend two neighbours
-constexpr double kWider = 1.2;       // the range of a tile, of what the hypotheses span
+constexpr double kWider = 1.5;       // the range of a tile, of what the fewest hypotheses span
 constexpr Index kLeastWindow = 256;  // px; below, hardly anything is left between the overlaps
 
 /// What the program takes beside one tile's work: the reduced copies, the windows of the next tile
@@ -46,7 +46,8 @@ double memory_of_tile(const nn::ModelConfig& model, const ImageSizes& images,
                                       {.views = images.views,
                                        .window = window,
                                        .pixels = static_cast<double>(images.views) * area,
-                                       .cells = cells},
+                                       .cells = cells,
+                                       .parallax = images.parallax},
                                       surface);
   return (alone ? 1 : kRepeated) * (memory_around(images, area, alone) + work.surface_bytes);
 }
@@ -274,8 +275,9 @@ Tiling plan_tiles(const nn::ModelConfig& model, const scene::Survey& survey,
   for (const scene::SurveyedView& view : survey.views)
     images.largest = std::max({images.largest, view.width, view.height});
 
-  // A tile's own range is hardly ever more than what the hypotheses span, or much more.
+  // A tile's own range, which is narrowed, is hardly ever more.
   const double span = std::min(scene.z_range.span(), kWider * span_of_hypotheses(model, cameras));
+  images.parallax = mean_parallax(cameras) * span;
   CutRules rules{.grid = out.grid,
                  .cameras = cameras,
                  .seen = seen,

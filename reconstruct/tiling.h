@@ -78,9 +78,10 @@ struct Tiling {
 
 /// Images, as far as memory depends on them.
 struct ImageSizes {
-  Index views = 0;     ///< of one part of the ground
-  Index largest = 0;   ///< longest side, px
-  Index surveyed = 0;  ///< of all the ground, whose copies are kept; 0 for no more
+  Index views = 0;      ///< of one part of the ground
+  Index largest = 0;    ///< longest side, px
+  Index surveyed = 0;   ///< of all the ground, whose copies are kept; 0 for no more
+  double parallax = 0;  ///< of a tile's heights, px, see `mean_parallax`
 };
 /// Largest window of any tile, px.
 inline constexpr Index kLargestWindow = 2048;
@@ -95,7 +96,7 @@ Index window_for_memory(const nn::ModelConfig& model, const ImageSizes& images, 
 /// Cuts the ground that two views or more see into tiles, as large as the windows are that the memory
 /// holds, so that what every view shows of a tile and of its surroundings, for all heights of the
 /// range, lies in one window, and as long and wide as takes the fewest pixels of all windows. Of a
-/// wide range what the hypotheses span and a fifth more counts: the tiles' own ranges are narrower,
+/// wide range half as much again as the fewest hypotheses span counts: the tiles' own ranges are narrower,
 /// and where one is not, its tile has several windows. Where images
 /// are turned against the grid, so are the tiles if that saves a twentieth: the window of an upright
 /// tile would show half as much again.

@@ -16,7 +16,7 @@ constexpr double kUnconfirmed = 25;  // m beyond the other way's span that one w
 }  // namespace
 
 rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched,
-                                 double largest_step) {
+                                 double largest_step, double quantile) {
   constexpr double kBin = 10;  // m
   std::sort(heights.begin(), heights.end());
   const double n = static_cast<double>(heights.size());
@@ -31,7 +31,7 @@ rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRa
   };
   for (const float z : heights)
     if (outside(z)) ++count[bin_of(z)];
-  // The median over all bins outside, most of which only chance fills.
+  // Most of all bins outside, or some, only chance fills.
   std::vector<Index> sizes;
   for (Index bin = bin_of(static_cast<float>(searched.low));
        bin <= bin_of(static_cast<float>(searched.high)); ++bin)
@@ -39,7 +39,9 @@ rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRa
         middle < core_low || middle > core_high)
       sizes.push_back(count[bin]);
   std::sort(sizes.begin(), sizes.end());
-  const double chance = sizes.empty() ? 0 : static_cast<double>(sizes[sizes.size() / 2]);
+  const auto nth = static_cast<std::size_t>(quantile * static_cast<double>(sizes.size()));
+  const double chance =
+      sizes.empty() ? 0 : static_cast<double>(sizes[std::min(nth, sizes.size() - 1)]);
   const auto believable = [&](float z) {
     return static_cast<double>(count[bin_of(z)]) >= 0.0005 * n + 4 * chance;
   };

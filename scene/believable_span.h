@@ -22,8 +22,10 @@ constexpr double kLargestStep = 100;  ///< m between heights of one scene with n
 /// heights       at least one, local m
 /// searched      range they were looked for in
 /// largest_step  m with nothing in between; beyond it is another pattern
+/// quantile      of the numbers of heights in 10 m outside that is taken for chance: less than the
+///               median where the surface may reach through more than half of what was searched
 rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched,
-                                 double largest_step = kLargestStep);
+                                 double largest_step = kLargestStep, double quantile = 0.5);
 
 /// The span of what lies close together, no more than 20 m beyond the rest.
 /// heights, searched  see `believable_span`

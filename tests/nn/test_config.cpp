@@ -28,6 +28,8 @@ TEST_CASE("the defaults are the documented ones") {
   CHECK(model_preset("base8") == c);
   CHECK(c.base == 8);
   CHECK(c.hypotheses == std::array<Index, 3>{64, 32, 8});
+  CHECK(c.most_hypotheses == 256);
+  CHECK(c.first_interval_px == 0.35);
   CHECK(c.variance_includes_reference);
   CHECK(c.context == nn::Context::reference);
   CHECK(c.rotation == nn::Rotation::residual);
@@ -44,6 +46,7 @@ TEST_CASE("the defaults are the documented ones") {
 
 TEST_CASE("presets differ from base8 in what they say and in nothing else") {
   ModelConfig paper;
+  paper.most_hypotheses = 64;
   paper.context = nn::Context::none;
   paper.rotation = nn::Rotation::camera;
   paper.fusion_start = nn::FusionStart::paper;
@@ -54,17 +57,17 @@ TEST_CASE("presets differ from base8 in what they say and in nothing else") {
   CHECK(model_preset("cascade8") == cascade);
 
   ModelConfig mvsplat = cascade;
-  mvsplat.hypotheses = {128, 0, 0};
+  mvsplat.hypotheses = {128, 0, 0}, mvsplat.most_hypotheses = 128;
   CHECK(model_preset("mvsplat_like") == mvsplat);
 
   ModelConfig hisplat = cascade;
-  hisplat.keep = nn::Keep::all;
+  hisplat.keep = nn::Keep::all, hisplat.most_hypotheses = 64;
   hisplat.guidance = nn::Guidance::photometric;
   CHECK(model_preset("hisplat_like") == hisplat);
 
   ModelConfig skysplat = cascade;
   skysplat.mono = nn::MonoBranch::own;
-  skysplat.hypotheses = {64, 0, 0};
+  skysplat.hypotheses = {64, 0, 0}, skysplat.most_hypotheses = 64;
   skysplat.rotation = nn::Rotation::camera;
   CHECK(model_preset("skysplat_like") == skysplat);
 

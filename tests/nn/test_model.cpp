@@ -126,6 +126,45 @@ TEST_CASE("discs lie where the surfels do, and are all alike") {
                             [](float v) { return v > 0.25f && v < 0.35f; }));
 }
 
+TEST_CASE("a wide range of heights gets more hypotheses") {
+  nn::ModelConfig config = nn::model_preset("wide8");
+  CHECK(nn::first_hypotheses(config, 0) == 64);
+  // 63 intervals of 0.35 pixels of a quarter of the resolution
+  CHECK(nn::first_hypotheses(config, 88.1) == 64);
+  CHECK(nn::first_hypotheses(config, 88.3) == 72);
+  CHECK(nn::first_hypotheses(config, 177.7) == 128);
+  CHECK(nn::first_hypotheses(config, 177.9) == 136);
+  CHECK(nn::first_hypotheses(config, 1e300) == 256);
+  config.most_hypotheses = 100;
+  CHECK(nn::first_hypotheses(config, 1e300) == 96);
+  config.most_hypotheses = 0;
+  CHECK(nn::first_hypotheses(config, 1e300) == 64);
+  CHECK(nn::first_hypotheses(nn::model_preset("paper"), 1e300) == 64);
+
+  const NoGrad no_grad;
+  config = nn::model_preset("tiny");
+  config.most_hypotheses = 32;
+  auto scene = hill();
+  const nn::Model model(config, 1);
+  scene.z_range = {-15, 9};
+  const Index expected = nn::first_hypotheses(config, 24 * nn::mean_parallax(scene));
+  CHECK(expected > 8);
+  CHECK(expected < 32);
+  for (const nn::Wanted wanted : {nn::Wanted::heights, nn::Wanted::surfels}) {
+    const auto first = model.forward(scene, {}, nullptr, wanted)[0];
+    const Tensor& z = first.hypotheses;
+    const Index D = z.dim(1), P = z.dim(2) * z.dim(3);
+    CHECK(D == (wanted == nn::Wanted::surfels ? 8 : expected));  // heads have so many inputs
+    CHECK(first.probability.shape() == z.shape());
+    CHECK(first.choices == D);
+    CHECK(z[0] == -15);
+    CHECK(z[(D - 1) * P] == 9);
+    CHECK(first.interval == doctest::Approx(24.0 / static_cast<double>(D - 1)));
+    const double apart = first.interval * nn::mean_parallax(scene) / 4;
+    CHECK((apart <= config.first_interval_px) == (wanted != nn::Wanted::surfels));
+  }
+}
+
 TEST_CASE("a forward pass can be stopped") {
   struct Stop {};
   int calls = 0;

@@ -12,13 +12,19 @@
 
 namespace satsurf::test {
 
+/// A made-up place without water.
+/// number  of the place
+inline scene::SimulatedScene place(scene::SceneKind kind, Index pixels, Index views,
+                                   std::int64_t number = 0) {
+  scene::SimulateConfig config = scene::SimulateConfig();
+  config.pixels = pixels, config.views = views, config.gsd = 0.5, config.kinds = {kind};
+  config.water = 0;
+  return scene::simulate_scene(config, 5, number);
+}
+
 /// A made-up village.
 inline scene::SimulatedScene village(Index pixels, Index views) {
-  scene::SimulateConfig config = scene::SimulateConfig();
-  config.pixels = pixels, config.views = views, config.gsd = 0.5,
-  config.kinds = {scene::SceneKind::village};
-  config.water = 0;
-  return scene::simulate_scene(config, 5, 0);
+  return place(scene::SceneKind::village, pixels, views);
 }
 
 /// The images of a made-up scene as a caller would hold them; owns their bytes.

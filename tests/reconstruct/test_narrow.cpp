@@ -2,6 +2,7 @@
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/narrow.h"
 #include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/scene/view_geometry.h"
 
 #include <algorithm>
 #include <vector>
@@ -14,9 +15,32 @@ using namespace satsurf::reconstruct;
 
 namespace {
 
+scene::Scene scene_of(const scene::SimulatedScene& made, const rpc::HeightRange& height_range) {
+  return scene::scene_from_images(test::HeldImages(made).images(), height_range).scene;
+}
+
 scene::Scene village_scene(Index pixels, const rpc::HeightRange& height_range) {
-  const test::HeldImages held(test::village(pixels, 3));
-  return scene::scene_from_images(held.images(), height_range).scene;
+  return scene_of(test::village(pixels, 3), height_range);
+}
+
+/// Heights of a scene that fall into two images or more, m above the ellipsoid.
+rpc::HeightRange seen_by_two(const scene::SimulatedScene& made) {
+  rpc::HeightRange out{made.h_max, made.h_min};
+  const scene::HeightField& dsm = made.dsm;
+  for (Index row = 0; row < dsm.z.dim(0); ++row)
+    for (Index col = 0; col < dsm.z.dim(1); ++col) {
+      const double z = static_cast<double>(dsm.z[row * dsm.z.dim(1) + col]);
+      const rpc::Geodetic at =
+          made.frame.geodetic_from_local({dsm.x0 + (static_cast<double>(col) + 0.5) * dsm.step,
+                                          dsm.y0 - (static_cast<double>(row) + 0.5) * dsm.step, z});
+      const auto seen = std::ranges::count_if(made.views, [&](const scene::SimulatedView& v) {
+        const rpc::Pixel p = v.rpc.project(at);
+        return p.x >= 0 && p.y >= 0 && p.x < static_cast<double>(v.rgb.dim(2)) &&
+               p.y < static_cast<double>(v.rgb.dim(1));
+      });
+      if (seen >= 2) out = hull(out, {z + made.frame.h0, z + made.frame.h0});
+    }
+  return out;
 }
 
 }  // namespace
@@ -41,27 +65,41 @@ TEST_CASE("a height range that is far too generous is narrowed to what holds the
     CHECK(found.high <= whole.high);
     CHECK(found.low <= truth.low);
     CHECK(found.high >= truth.high);
-    const double spanned = span_of_hypotheses(model.config(), scene);
-    CHECK(found.span() > 0.999 * spanned);  // nothing is given away that costs nothing
-    CHECK(found.span() < std::max(spanned, truth.span() + 30) + 1);
+    CHECK(found.span() < truth.span() + 20);  // 15 m of margins
     // what was seen to agree before is not taken away
-    scene.z_agreed = rpc::HeightRange{scene.z_range.low + 1, scene.z_range.high - 100};
+    scene.z_agreed = rpc::HeightRange{scene.z_range.low + 1, scene.z_range.middle()};
     const rpc::HeightRange kept = narrowed_range(model, scene);
     CHECK(kept.low <= scene.z_agreed->low);
     CHECK(kept.high >= scene.z_agreed->high);
-    CHECK(kept.high < scene.z_range.high - 50);
+    CHECK(kept.high < scene.z_range.high - 0.2 * scene.z_range.span());
   }
 }
 
-TEST_CASE("a range is left alone as far as the hypotheses span it") {
+TEST_CASE("towers stay in a range that is narrowed") {
+  const nn::Model model = nn::load_model(SATSURF_TEST_WEIGHTS);
+  for (const std::int64_t number : {20, 25, 32}) {
+    CAPTURE(number);
+    const scene::SimulatedScene made = test::place(scene::SceneKind::city, 320, 3, number);
+    const rpc::HeightRange truth = seen_by_two(made);
+    CHECK(truth.span() > 70);
+    const scene::Scene scene = scene_of(made, {truth.low - 5, truth.high + 65});
+    const rpc::HeightRange found = scene.frame.heights_from_z(narrowed_range(model, scene));
+    CHECK(found.low <= truth.low);
+    CHECK(found.high >= truth.high);
+  }
+}
+
+TEST_CASE("a range is left alone that is hardly more than the margins") {
   const nn::Model model(nn::model_preset("tiny"), 3);
   scene::Scene scene = village_scene(96, test::range_of(test::village(96, 3)));
-  const double spanned = span_of_hypotheses(model.config(), scene);
-  scene.z_range.high = scene.z_range.low + 0.999 * spanned;
+  const double parallax =
+      mean_parallax(scene::cameras_at(scene.views, scene.frame, {0, 0, scene.z_range.middle()}));
+  const double margin = std::max(5.0, 2 / parallax);
+  scene.z_range.high = scene.z_range.low + 5.99 * margin;
   int asked = 0;
   CHECK(narrowed_range(model, scene, [&] { ++asked; }) == scene.z_range);
   CHECK(asked == 0);
-  scene.z_range.high = scene.z_range.low + 1.1 * spanned;
+  scene.z_range.high = scene.z_range.low + 6.1 * margin;
   narrowed_range(model, scene, [&] { ++asked; });
   CHECK(asked > 0);
 }

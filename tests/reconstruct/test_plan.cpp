@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/error.h"
 #include "satsurf/nn/config.h"
+#include "satsurf/nn/hypotheses.h"
 #include "satsurf/reconstruct/plan.h"
+#include "satsurf/scene/crop.h"
 #include "satsurf/scene/view_geometry.h"
 
 #include <algorithm>
@@ -140,6 +142,40 @@ TEST_CASE("memory grows with the images and the surface") {
   CHECK(meshed.memory_bytes == meshed.mesh_bytes);
   CHECK(two.voxel == 0);
   CHECK(two.mesh_bytes == 0);
+}
+
+TEST_CASE("memory grows with the heights to search, where they get more hypotheses") {
+  const nn::ModelConfig model = nn::model_preset("wide8");
+  const auto volumes = [&](double parallax, Surface surface) {
+    const WorkMemory work = work_memory(
+        model,
+        {.views = 3, .window = {512, 512}, .pixels = 3e5, .cells = 1e5, .parallax = parallax},
+        surface);
+    const auto part = std::ranges::find(work.parts, "volumes 1", &nn::PartMemory::part);
+    REQUIRE(part != work.parts.end());
+    return part->bytes;
+  };
+  const double least = volumes(0, Surface::refined);
+  CHECK(volumes(88, Surface::refined) == least);
+  CHECK(volumes(177, Surface::refined) > 1.2 * least);
+  CHECK(volumes(177, Surface::splat) == volumes(0, Surface::splat));
+}
+
+TEST_CASE("the parallax of cameras is that of their images, however they are turned") {
+  const scene::Scene scene = small_scene();
+  const scene::Crop crop = scene::make_crop(scene, {.sources = {0, 1, 2},
+                                                    .centre = {0, 0, scene.z_range.middle()},
+                                                    .size = {96, 96},
+                                                    .z_range = scene.z_range});
+  std::vector<rpc::PixelJacobian> cameras =
+      scene::cameras_at(scene.views, scene.frame, {0, 0, scene.z_range.middle()});
+  const double upright = mean_parallax(cameras);
+  CHECK(upright == doctest::Approx(nn::mean_parallax(crop.input)).epsilon(0.01));
+  CHECK(span_of_hypotheses(nn::model_preset("wide8"), cameras) ==
+        doctest::Approx(0.35 * 4 * 64 / upright));
+  for (rpc::PixelJacobian::value_type& axis : cameras[1])  // by 180 degrees
+    for (double& v : axis) v = -v;
+  CHECK(mean_parallax(cameras) == doctest::Approx(upright));
 }
 
 TEST_CASE("a mesh that does not fit into the memory does not stop the surface") {
