@@ -161,12 +161,13 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
                                 const std::function<void()>& poll,
                                 const std::function<Tensor(const Grid&)>& unwanted) {
   constexpr int kLooks = 3;
-  constexpr std::size_t kFewest = 200;             // heights that agree
-  constexpr double kFew = 2e-4;                    // of them are wrong, or of masts, on either side
-  constexpr double kOnlyChance = 0.2;              // of a range, at least, holds no surface
-  constexpr double kUnseen = 1.5;                  // of what the fewest hypotheses span
-  constexpr double kTall = 40, kTaller = 25;       // m
-  constexpr double kFurther = 0.7, kWorth = 0.85;  // of a range: another look, the risk
+  constexpr std::size_t kFewest = 200;        // heights that agree
+  constexpr double kFew = 2e-4;               // of them are wrong, or of masts, on either side
+  constexpr double kOnlyChance = 0.2;         // of a range, at least, holds no surface
+  constexpr double kUnseen = 1.5;             // of what the fewest hypotheses span
+  constexpr double kTall = 40, kTaller = 25;  // m
+  // A range is looked at again, and cut, where no more than this of it would remain.
+  constexpr double kFurther = 0.7, kWorth = 0.85;
   const std::vector<rpc::PixelJacobian> cameras =
       scene::cameras_at(scene.views, scene.frame, middle_of(scene));
   const double enough = span_of_hypotheses(model.config(), cameras),

@@ -31,7 +31,7 @@ rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRa
   };
   for (const float z : heights)
     if (outside(z)) ++count[bin_of(z)];
-  // Most of all bins outside, or some, only chance fills.
+  // The bins outside with the fewest heights are filled by chance alone.
   std::vector<Index> sizes;
   for (Index bin = bin_of(static_cast<float>(searched.low));
        bin <= bin_of(static_cast<float>(searched.high)); ++bin)

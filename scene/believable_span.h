@@ -22,8 +22,8 @@ constexpr double kLargestStep = 100;  ///< m between heights of one scene with n
 /// heights       at least one, local m
 /// searched      range they were looked for in
 /// largest_step  m with nothing in between; beyond it is another pattern
-/// quantile      of the numbers of heights in 10 m outside that is taken for chance: less than the
-///               median where the surface may reach through more than half of what was searched
+/// quantile      of the numbers of heights in each 10 m outside the middle nine tenths that is taken
+///               for chance: less than the median where the surface may fill more than half of them
 rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched,
                                  double largest_step = kLargestStep, double quantile = 0.5);
 
