@@ -143,18 +143,6 @@ std::vector<float> look_at(const nn::Model& model, const scene::Scene& scene,
                         nn::effective_confidence(model.config(), stages[2]), unwanted);
 }
 
-/// The span of heights but for a share on either side.
-rpc::HeightRange all_but(double share, std::vector<float> heights) {
-  const auto rank = [&](double part) {
-    const auto k = heights.begin() +
-                   static_cast<std::ptrdiff_t>(part * static_cast<double>(heights.size() - 1));
-    std::ranges::nth_element(heights, k);
-    return static_cast<double>(*k);
-  };
-  const double low = rank(share);
-  return {low, rank(1 - share)};
-}
-
 }  // namespace
 
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
@@ -202,7 +190,7 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
       continue;
     }
     // Where some buildings are tall, others may be taller; flat ground with halls gains most.
-    const rpc::HeightRange seen = hull(*believed, all_but(kFew, agreed));
+    const rpc::HeightRange seen = hull(*believed, scene::span_of_all_but(kFew, agreed));
     const double taller = seen.span() > kTall ? std::min(0.5 * seen.span(), kTaller) : 0;
     const rpc::HeightRange last = within(seen, margin, std::max(2 * margin, taller));
     return last.span() < kWorth * range.span() ? last : range;

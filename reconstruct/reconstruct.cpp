@@ -12,6 +12,7 @@
 #include "satsurf/reconstruct/shown_place.h"
 #include "satsurf/reconstruct/surface_input.h"
 #include "satsurf/reconstruct/trust.h"
+#include "satsurf/scene/believable_span.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/splat/select.h"
 #include "satsurf/splat/view.h"
@@ -130,12 +131,8 @@ Grid cells_of(const scene::Scene& scene, const ReconstructPlan& plan,
   if (options.grid || P == 0) return plan.grid;
   std::vector<float> z(static_cast<std::size_t>(P));
   for (Index i = 0; i < P; ++i) z[static_cast<std::size_t>(i)] = means[3 * i + 2];
-  const auto quantile = [&](double share) {
-    const auto k = z.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(P - 1));
-    std::nth_element(z.begin(), k, z.end());
-    return static_cast<double>(*k);
-  };
-  const std::array heights{quantile(kWrong), quantile(1 - kWrong)};
+  const rpc::HeightRange right = scene::span_of_all_but(kWrong, std::move(z));
+  const std::array heights{right.low, right.high};
   const scene::Polygon outline = outline_of_two(scene, heights);
   return outline.empty()
              ? plan.grid

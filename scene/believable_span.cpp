@@ -57,6 +57,17 @@ rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRa
   return {low, high};
 }
 
+rpc::HeightRange span_of_all_but(double share, std::vector<float> heights) {
+  const auto rank = [&](double part) {
+    const auto k = heights.begin() +
+                   static_cast<std::ptrdiff_t>(part * static_cast<double>(heights.size() - 1));
+    std::ranges::nth_element(heights, k);
+    return static_cast<double>(*k);
+  };
+  const double low = rank(share);
+  return {low, rank(1 - share)};
+}
+
 rpc::HeightRange near_span(std::vector<float> heights, const rpc::HeightRange& searched) {
   return believable_span(std::move(heights), searched, kNear);
 }

@@ -27,6 +27,10 @@ constexpr double kLargestStep = 100;  ///< m between heights of one scene with n
 rpc::HeightRange believable_span(std::vector<float> heights, const rpc::HeightRange& searched,
                                  double largest_step = kLargestStep, double quantile = 0.5);
 
+/// The span of heights but for a share of them on either side.
+/// heights  at least one
+rpc::HeightRange span_of_all_but(double share, std::vector<float> heights);
+
 /// The span of what lies close together, no more than 20 m beyond the rest.
 /// heights, searched  see `believable_span`
 rpc::HeightRange near_span(std::vector<float> heights, const rpc::HeightRange& searched);
