@@ -19,22 +19,6 @@
 namespace satsurf::rpc {
 namespace {
 
-/// Whether a file begins as a PNG and ends before its last chunk. The library would find that out as
-/// well, but libpng then writes to stderr.
-bool is_truncated_png(const std::filesystem::path& path) {
-  constexpr std::string_view kSignature("\x89PNG\r\n\x1a\n", 8);
-  std::ifstream in(path, std::ios::binary);
-  std::array<char, 8> head{};
-  if (!in.read(head.data(), 8) || std::string_view(head.data(), 8) != kSignature) return false;
-  while (in.read(head.data(), 8)) {  // length and name, then the chunk and its checksum
-    if (std::string_view(head.data() + 4, 4) == "IEND") return false;
-    std::uint32_t length = 0;
-    for (std::size_t i = 0; i < 4; ++i) length = length << 8 | static_cast<unsigned char>(head[i]);
-    in.seekg(static_cast<std::streamoff>(length) + 4, std::ios::cur);
-  }
-  return true;
-}
-
 /// A 16-bit number, the larger half first.
 Index number16(const unsigned char* at) { return at[0] << 8 | at[1]; }
 
@@ -72,24 +56,6 @@ PictureSize jpeg_size(const std::filesystem::path& path) {
     return {number16(&rest[4]), number16(&rest[2]), rest[6]};
   }
   return {};
-}
-
-/// The driver for a picture by how the file begins; empty for others: of the many that there are, whoever
-/// sends a picture does not choose.
-std::string driver_of(const std::filesystem::path& path) {
-  constexpr std::array<std::pair<std::string_view, const char*>, 6> kBeginnings{
-      {{{"\x89PNG\r\n\x1a\n", 8}, "PNG"},
-       {{"\xff\xd8\xff", 3}, "JPEG"},
-       {{"II*\0", 4}, "GTiff"},
-       {{"MM\0*", 4}, "GTiff"},
-       {{"II+\0", 4}, "GTiff"},
-       {{"MM\0+", 4}, "GTiff"}}};
-  std::array<char, 8> head{};
-  std::ifstream(path, std::ios::binary).read(head.data(), 8);
-  const std::string_view begins(head.data(), head.size());
-  const auto found = std::ranges::find_if(
-      kBeginnings, [&](const auto& known) { return begins.starts_with(known.first); });
-  return found == kBeginnings.end() ? std::string() : found->second;
 }
 
 /// Whether all colours of a palette are grey: GDAL gives one to pictures whose white is zero, too.
@@ -139,9 +105,6 @@ Tensor read_picture(const std::filesystem::path& path) {
   };
   require_file(path, "a PNG, JPEG or TIFF picture");
   std::error_code ec;
-  const std::string driver = driver_of(path);
-  if (driver.empty()) refuse("of another format");
-  if (is_truncated_png(path)) refuse("the file ends too early");
   const std::uintmax_t bytes = std::filesystem::file_size(path, ec);
   const auto described = [](const PictureSize& of) {
     return std::to_string(of.width) + " x " + std::to_string(of.height) + " px with " +
@@ -156,14 +119,18 @@ Tensor read_picture(const std::filesystem::path& path) {
     if (values > kLittle && !ec && values > kMostValues * static_cast<double>(bytes))
       refuse(described(of) + " in a file of " + std::to_string(bytes) + " bytes");
   };
-  if (driver == "JPEG") check_packing(jpeg_size(path));
   const GdalScope scope;
+  // Of the many that there are: whoever sends a picture does not choose.
+  constexpr std::array<const char*, 4> kDrivers{"PNG", "JPEG", "GTiff", nullptr};
+  constexpr std::array<const char*, 1> kAlone{nullptr};  // no file beside it says anything of it
+  const GDALDriverH format =
+      GDALIdentifyDriverEx(where.c_str(), GDAL_OF_RASTER, kDrivers.data(), kAlone.data());
+  if (format == nullptr) refuse("of another format");
+  if (EQUAL(GDALGetDriverShortName(format), "JPEG")) check_packing(jpeg_size(path));
   // else the rest of a JPEG that was cut off is grey
   const CPLConfigOptionSetter strict("GDAL_ERROR_ON_LIBJPEG_WARNING", "YES", true);
-  const std::array<const char*, 2> drivers{driver.c_str(), nullptr};
-  const std::array<const char*, 1> alone{nullptr};  // no file beside it says anything of it
   const DatasetPtr d(GDALDataset::Open(where.c_str(), GDAL_OF_RASTER | GDAL_OF_VERBOSE_ERROR,
-                                       drivers.data(), nullptr, alone.data()));
+                                       kDrivers.data(), nullptr, kAlone.data()));
   check_refused(path);
   if (!d) refuse(gdal_error());
   const PictureSize size{d->GetRasterXSize(), d->GetRasterYSize(), d->GetRasterCount()};
