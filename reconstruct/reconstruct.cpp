@@ -264,9 +264,9 @@ nn::SurfaceInput input_of(const Gathered& all, const Reconstruction& made) {
                        made.images);
 }
 
-/// The surface as the network makes it, where two images or more show it, at its own height or that
-/// of the densest mode. Its confidence is that of the surfels times the share of them that agree, 0 in
-/// the holes that the network filled.
+/// The surface as the network makes it, where two images or more show it. Its confidence is that of the
+/// surfels times the share of them that agree, 0 in the holes that the network filled: what it guessed
+/// there, and where fewer than two images show the densest mode, is kept if they show it lower, too.
 /// made  its images are whole
 FusedSurface refined(const nn::SurfaceModel& network, const Gathered& all,
                      const Reconstruction& made, Tensor& sigma) {
@@ -284,10 +284,11 @@ FusedSurface refined(const nn::SurfaceModel& network, const Gathered& all,
   for (Index i = 0; i < P; ++i) {
     const double x = cells.east + (static_cast<double>(i % cells.width) + 0.5) * cells.step;
     const double y = cells.north - (static_cast<double>(i / cells.width) + 0.5) * cells.step;
-    if (views[i] < nn::kViewsOfTwo &&
-        !shown_by_two(made.images, x, y, static_cast<double>(out.heights[i])))
-      out.heights[i] = sigma[i] = std::nanf("");
-    out.confidence[i] = std::isfinite(out.heights[i]) ? sure[i] * share[i] : std::nanf("");
+    out.confidence[i] = sure[i] * share[i];
+    const bool guessed = views[i] < nn::kViewsOfTwo || !(out.confidence[i] > 0);
+    if (guessed && !shown_by_two_if_lower(made.images, x, y, static_cast<double>(out.heights[i]),
+                                          static_cast<double>(sigma[i])))
+      out.heights[i] = out.confidence[i] = sigma[i] = std::nanf("");
   }
   return out;
 }

@@ -21,6 +21,16 @@ inline bool shown_by_two(const std::vector<nn::PosedImage>& images, double x, do
   return false;
 }
 
+/// Whether two images or more show a place whose height is a guess, even if the ground there is lower
+/// than it by twice the error that is expected: a guess is not to make the room it stands in. Beside
+/// what the images show they would show the top of a tower, and nothing says that there is none.
+/// x, y, z  local m
+/// sigma    expected error of z, m
+inline bool shown_by_two_if_lower(const std::vector<nn::PosedImage>& images, double x, double y,
+                                  double z, double sigma) {
+  return shown_by_two(images, x, y, z) && shown_by_two(images, x, y, z - 2 * sigma);
+}
+
 /// Mean of the channels at the pixel of a place; NaN where there is none.
 inline float shown_brightness(const nn::PosedImage& image, const std::array<double, 2>& place) {
   const Index at = nn::shown_pixel(image, place), C = image.rgb.dim(0), P = image.valid.count();
