@@ -46,7 +46,7 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
                  : (H + 2) * row;
     return static_cast<double>(floats);
   };
-  for (std::size_t s = 0; s < 3; ++s) {
+  for (std::size_t s = 0; s < stages_of(wanted); ++s) {
     const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);
     const double C = static_cast<double>(config.base * kStrides[s]);
     const double D = static_cast<double>(config.hypotheses[s]);

@@ -178,7 +178,7 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
 
   std::array<StageOutput<T>, 3> out;
   BasicTensor<T> in_search;  // probability that the surface lies where the next stage searches
-  for (std::size_t s = 0; s < 3; ++s) {
+  for (std::size_t s = 0; s < stages_of(wanted); ++s) {
     const StageParts<T>& part = stages[s];
     const StageGrid& grid = grids[s];
     const StageOutput<T>* previous = s == 0 ? nullptr : &out[s - 1];
@@ -203,7 +203,7 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
     const StageHeights<T>& heights = out[s];
     if (wanted != Wanted::surfels) features.fpn[s] = {};  // the heads alone read them again
     if (wanted == Wanted::discs && s == 2) drop_distribution(out[s]);
-    if (wanted == Wanted::heights || (wanted == Wanted::discs && s < 2)) continue;
+    if (wanted != Wanted::surfels && !(wanted == Wanted::discs && s == 2)) continue;
     const BasicVar<T> image(downsampled(features.images, grid.stride));
     const BasicVar<T> confidence = head_confidence(config, heights);
     if (wanted == Wanted::discs) {

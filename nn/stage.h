@@ -4,14 +4,20 @@
 #include "satsurf/core/var.h"
 #include "satsurf/splat/rasterize.h"
 
+#include <cstddef>
+
 namespace satsurf::nn {
 
 /// What a forward pass is asked for.
 enum class Wanted {
-  heights,  ///< the search alone: neither guidance nor surfels, a third less work
-  discs,    ///< heights and, of the last stage's, surfels that are all alike; no distributions
-  surfels   ///< all of it
+  coarse_heights,  ///< the search of the first two stages alone; the third's output stays empty
+  heights,         ///< the search alone: neither guidance nor surfels, a third less work
+  discs,   ///< heights and, of the last stage's, surfels that are all alike; no distributions
+  surfels  ///< all of it
 };
+
+/// How many of the three stages that takes.
+constexpr std::size_t stages_of(Wanted wanted) { return wanted == Wanted::coarse_heights ? 2 : 3; }
 
 /// The size of one stage of the cascade: of its maps [N h w] and volumes [N D h w], and where its
 /// hypotheses lie.

@@ -14,6 +14,7 @@ class CrossCheck {
   /// input    the window of N views, H x W px
   /// heights  [N H W] height of every pixel, local m
   CrossCheck(const nn::NetworkInput& input, const Tensor& heights);
+  CrossCheck(const nn::NetworkInput& input, Tensor&& heights) = delete;
 
   /// Pixel of view j on which the point at height z of pixel p in view i falls; -1 where that is
   /// outside or not valid.

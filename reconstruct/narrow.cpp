@@ -99,17 +99,21 @@ class Unwanted {
 };
 
 /// The heights on which a pixel that is rather sure and another view agree.
+/// heights, confidence  [N h w] of stage pixels, every `stride` of the images
 std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& heights,
-                                  const Tensor& confidence, const Unwanted& unwanted) {
+                                  const Tensor& confidence, Index stride,
+                                  const Unwanted& unwanted) {
   constexpr float kSure = 0.3f;
-  const CrossCheck check(input, heights);
-  const Index P = heights.dim(1) * heights.dim(2);
+  const Index h = heights.dim(1), w = heights.dim(2), W = w * stride;
+  const Tensor of_pixels = nn::along_slopes(heights, h * stride, W);
+  const CrossCheck check(input, of_pixels);
   const double within = 2 / nn::mean_parallax(input);  // m of two pixels
   std::vector<float> out;
   for (std::size_t i = 0; i < input.sources.size(); ++i)
-    for (Index p = 0; p < P; ++p) {
+    for (Index q = 0; q < h * w; ++q) {
+      const Index p = (q / w * W + q % w) * stride;
       if (!(input.sources[i].valid[p] > 0)) continue;
-      if (!(confidence[static_cast<Index>(i) * P + p] >= kSure)) continue;
+      if (!(confidence[static_cast<Index>(i) * h * w + q] >= kSure)) continue;
       const double z = check.height(i, p);
       bool agrees = false;
       for (std::size_t j = 0; j < input.sources.size() && !agrees; ++j) {
@@ -117,7 +121,6 @@ std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& h
         agrees = there >= 0 && std::abs(check.height(j, there) - z) < within;
       }
       if (!agrees) continue;
-      const Index W = input.sources[i].valid.dim(1);
       const auto at = input.sources[i].local_from_pixel(static_cast<double>(p % W),
                                                         static_cast<double>(p / W), z);
       if (!unwanted.holds(at[0], at[1])) out.push_back(static_cast<float>(z));
@@ -138,9 +141,10 @@ std::vector<float> look_at(const nn::Model& model, const scene::Scene& scene,
                         nn::size_multiple(model.config()));
   const scene::Crop crop = scene::make_crop(
       scene, {.sources = std::move(sources), .centre = middle, .size = size, .z_range = searched});
-  const auto stages = model.forward(crop.input, poll, nullptr, nn::Wanted::heights);
-  return agreed_heights(crop.input, stages[2].height.value(),
-                        nn::effective_confidence(model.config(), stages[2]), unwanted);
+  const auto stages = model.forward(crop.input, poll, nullptr, nn::Wanted::coarse_heights);
+  const auto& seen = stages[nn::stages_of(nn::Wanted::coarse_heights) - 1];
+  return agreed_heights(crop.input, seen.height.value(),
+                        nn::effective_confidence(model.config(), seen), seen.stride, unwanted);
 }
 
 }  // namespace

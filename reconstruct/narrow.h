@@ -11,15 +11,16 @@ namespace satsurf::reconstruct {
 
 /// Heights that a scene's surface lies between, of a range that may be far too generous: the more
 /// heights are tried, the more look right by chance, above all on large roofs without texture. The
-/// network looks at smaller images first: in half of the resolution, in which towers show, or, of a
-/// range that takes too many hypotheses there, in a third or a quarter, and again as long as that
-/// narrows the range by far. What remains are the heights on which two views agree there but for
-/// some in ten thousand, and what an earlier look over more believed (`scene::believable_span`), with
-/// 5 m more below and 10 m more above, or two and four pixels of parallax where that is more. Where
-/// they span more than 40 m, some tower may not have been seen, and there is half of that more above,
-/// up to 25 m. The range holds what the images agreed on when it was found (`Scene::z_agreed`). The
-/// scene's own is kept where it is less than six margins, where hardly anything agrees, and where
-/// less than 15 % would be saved: what is cut off is lost, a tower that no look has seen, too.
+/// first two stages of the network look at smaller images first: in half of the resolution, in which
+/// towers show, or, of a range that takes too many hypotheses there, in a third or a quarter, and again
+/// as long as that narrows the range by far. What remains are the heights on which two views agree
+/// there but for some in ten thousand, and what an earlier look over more believed
+/// (`scene::believable_span`), with 5 m more below and 10 m more above, or two and four pixels of
+/// parallax where that is more. Where they span more than 40 m, some tower may not have been seen, and
+/// there is half of that more above, up to 25 m. The range holds what the images agreed on when it was
+/// found (`Scene::z_agreed`). The scene's own is kept where it is less than six margins, where hardly
+/// anything agrees, and where less than 15 % would be saved: what is cut off is lost, a tower that no
+/// look has seen, too.
 /// poll      called between layers, may throw to stop
 /// unwanted  ground on which heights do not count, see ReconstructOptions; may be empty
 /// returns   a part of `scene.z_range`, local m

@@ -64,9 +64,10 @@ TEST_CASE("the memory of a forward pass is known before, part by part") {
     std::vector<nn::PartMemory> measured;
     model.forward(scene, {}, &measured, wanted);
     const auto planned = nn::forward_memory(config, static_cast<Index>(views), side, side, wanted);
-    const std::size_t parts = wanted == nn::Wanted::surfels ? 7
-                              : wanted == nn::Wanted::discs ? 5
-                                                            : 4;
+    const std::size_t behind = wanted == nn::Wanted::surfels ? 3
+                               : wanted == nn::Wanted::discs ? 1
+                                                             : 0,
+                      parts = 1 + nn::stages_of(wanted) + behind;
     REQUIRE(measured.size() == parts);
     REQUIRE(planned.size() == parts);
     double most = 0;
@@ -83,7 +84,8 @@ TEST_CASE("the memory of a forward pass is known before, part by part") {
   for (const std::size_t views : {2, 3, 5}) check("tiny", views, 256);
   check("tiny_full", 3, 256);
   check("base8", 3, 192);
-  for (const nn::Wanted wanted : {nn::Wanted::heights, nn::Wanted::discs}) {
+  for (const nn::Wanted wanted :
+       {nn::Wanted::coarse_heights, nn::Wanted::heights, nn::Wanted::discs}) {
     check("tiny_full", 3, 256, wanted);
     check("base8", 3, 192, wanted);
   }
@@ -124,6 +126,21 @@ TEST_CASE("discs lie where the surfels do, and are all alike") {
   // 0.6 pixels of 0.5 m
   CHECK(std::ranges::all_of(discs.scales.value().values(),
                             [](float v) { return v > 0.25f && v < 0.35f; }));
+}
+
+TEST_CASE("coarse heights are those of the first two stages") {
+  const NoGrad no_grad;
+  const nn::Model model(nn::model_preset("tiny_full"), 1);
+  const auto scene = hill();
+  const auto whole = model.forward(scene, {}, nullptr, nn::Wanted::heights),
+             coarse = model.forward(scene, {}, nullptr, nn::Wanted::coarse_heights);
+  for (const std::size_t s : {0, 1}) {
+    CHECK(std::ranges::equal(coarse[s].height.value().values(), whole[s].height.value().values()));
+    CHECK(std::ranges::equal(coarse[s].joint_confidence.values(),
+                             whole[s].joint_confidence.values()));
+  }
+  CHECK(coarse[2].height.empty());
+  CHECK(coarse[2].probability.empty());
 }
 
 TEST_CASE("a wide range of heights gets more hypotheses") {
