@@ -24,9 +24,9 @@ constexpr std::array<Index, 5> kWidths{1, 2, 4, 6, 8};
 /// 3 x 3 convolutions behind the halvings to strides 2 to 16.
 constexpr std::array<Index, 4> kSame{1, 1, 1, 2};
 constexpr Index kMultiple = 16;
-/// Mirrored east to west, north to south, and both: four of the eight symmetries give four fifths of
-/// what all of them do.
-constexpr Index kOrientations = 4;
+/// The symmetries that are looked at (see `turned`): none, and mirrored both ways. Each costs as much
+/// as the first; mirrored one way only as well, the error is 0.3 % less.
+constexpr std::array<Index, 2> kLooks{0, 3};
 /// What the mean of their logits is multiplied with: a mean of answers is less sure than they are, and
 /// a mean of candidates lies between them.
 constexpr float kSharper = 1.25F;
@@ -160,12 +160,13 @@ RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
   const NoGrad no_grad;
   const Tensor channels = SurfaceNet<float>::channels(input);
   Tensor mean;
-  for (Index s = 0; s < kOrientations; ++s) {
+  for (const Index s : kLooks) {
     const Tensor one = turned(network, s).net().maps(channels).value();
     if (mean.empty()) mean = Tensor(one.shape());
     for_each_index(mean.dim(1), [&](Index c) {
       const Index n = mean.count() / mean.dim(1);
-      const float share = (c < kSurfaceCandidates ? kSharper : 1) / float{kOrientations};
+      const float share =
+          (c < kSurfaceCandidates ? kSharper : 1) / static_cast<float>(kLooks.size());
       for (Index i = c * n; i < (c + 1) * n; ++i) mean[i] += share * one[i];
     });
   }

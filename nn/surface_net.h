@@ -156,9 +156,9 @@ struct RefinedSurface {
 /// Whether a cell has any candidate at all.
 /// candidates  [K H W]
 bool has_candidate(const Tensor& candidates, Index cell);
-/// Applies a network to a surface as it is, mirrored east to west, north to south, and both, and takes
-/// the mean of what it says: a mirrored place is as likely as the place itself. Its logits count 1.25
-/// times, since the mean is less sure than they are.
+/// Applies a network to a surface as it is and to its mirror image east to west and north to south,
+/// and takes the mean of what it says: a mirrored place is as likely as the place itself. Its logits
+/// count 1.25 times, since the mean is less sure than they are.
 /// throws  ShapeError
 RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input);
 
