@@ -12,8 +12,6 @@
 #include <cstdlib>
 #include <fstream>
 #include <string>
-#include <string_view>
-#include <utility>
 #include <vector>
 
 namespace satsurf::rpc {
