@@ -17,6 +17,21 @@
 namespace satsurf::rpc {
 namespace {
 
+/// Whether a PNG ends before its last chunk. GDAL reads the rows and asks for nothing behind them, so
+/// it would not miss a checksum or the end.
+bool is_truncated_png(const std::filesystem::path& path) {
+  std::ifstream in(path, std::ios::binary);
+  in.seekg(8);  // the signature
+  std::array<char, 8> head{};
+  while (in.read(head.data(), 8)) {  // length and name, then the chunk and its checksum
+    if (std::string(head.data() + 4, 4) == "IEND") return false;
+    std::uint32_t length = 0;
+    for (std::size_t i = 0; i < 4; ++i) length = length << 8 | static_cast<unsigned char>(head[i]);
+    in.seekg(static_cast<std::streamoff>(length) + 4, std::ios::cur);
+  }
+  return true;
+}
+
 /// A 16-bit number, the larger half first.
 Index number16(const unsigned char* at) { return at[0] << 8 | at[1]; }
 
@@ -124,7 +139,9 @@ Tensor read_picture(const std::filesystem::path& path) {
   const GDALDriverH format =
       GDALIdentifyDriverEx(where.c_str(), GDAL_OF_RASTER, kDrivers.data(), kAlone.data());
   if (format == nullptr) refuse("of another format");
-  if (EQUAL(GDALGetDriverShortName(format), "JPEG")) check_packing(jpeg_size(path));
+  const std::string driver = GDALGetDriverShortName(format);
+  if (driver == "PNG" && is_truncated_png(path)) refuse("the file ends too early");
+  if (driver == "JPEG") check_packing(jpeg_size(path));
   // else the rest of a JPEG that was cut off is grey
   const CPLConfigOptionSetter strict("GDAL_ERROR_ON_LIBJPEG_WARNING", "YES", true);
   const DatasetPtr d(GDALDataset::Open(where.c_str(), GDAL_OF_RASTER | GDAL_OF_VERBOSE_ERROR,

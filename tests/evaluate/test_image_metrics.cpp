@@ -302,6 +302,8 @@ TEST_CASE("read_picture") {
       CHECK(text.starts_with(at + "cut.tif: "));
       CHECK(text.ends_with(", expected a PNG, JPEG or TIFF picture"));
     }
+    CHECK(refusal("cut.png") ==
+          at + "cut.png: the file ends too early, expected a PNG, JPEG or TIFF picture");
     CHECK(refusal("six.tif") ==
           at + "six.tif: 2 x 1 px with 6 channels, expected a PNG, JPEG or TIFF picture");
   }
