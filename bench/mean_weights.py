@@ -39,11 +39,14 @@ def values_of(entry, data):
 def one_configuration(of, one, other):
     """What both files say of a network. Of a setting that came into the program later the older file says nothing; it stands
     at its default there, which is what training leaves it at."""
-    both = {key: value for text in (one, other) for key, value in json.loads(text or "{}").items()}
-    for text in (one, other):
-        if any(both[key] != value for key, value in json.loads(text or "{}").items()):
-            sys.exit(f"{of}: {one} and {other}, expected one configuration")
-    return json.dumps(both, separators=(",", ":"), sort_keys=True)
+    if one == other:
+        return one
+    left, right = json.loads(one or "{}"), json.loads(other or "{}")
+    if left | right != right | left:
+        sys.exit(f"{of}: {one} and {other}, expected one configuration")
+    alone = ", ".join(sorted(left.keys() ^ right.keys()))
+    print(f"{of}: one file alone names {alone}; taken to be the other's, too", file=sys.stderr)
+    return json.dumps(left | right, separators=(",", ":"), sort_keys=True)
 
 
 def main(first, second, out, share="0.5", network="cascade"):
@@ -60,7 +63,9 @@ def main(first, second, out, share="0.5", network="cascade"):
     about, of_other = entries.setdefault("__metadata__", {}), others.get("__metadata__", {})
     about[origin] = json.dumps({"share": share} | {key: of_other.get(key, "") for key in ("git", "seed", "step", "version")})
     configured = prefix.removesuffix(".")
-    about[configured] = one_configuration(configured, about.get(configured), of_other.get(configured))
+    configuration = one_configuration(configured, about.get(configured), of_other.get(configured))
+    if configuration:
+        about[configured] = configuration
     names = [name for name in entries if name.startswith(prefix)]
     if not names:
         sys.exit(f"{first}: no tensor of a {network}, expected some whose names begin with '{prefix}'")

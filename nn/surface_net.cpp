@@ -24,8 +24,8 @@ constexpr std::array<Index, 5> kWidths{1, 2, 4, 6, 8};
 /// 3 x 3 convolutions behind the halvings to strides 2 to 16.
 constexpr std::array<Index, 4> kSame{1, 1, 1, 2};
 constexpr Index kMultiple = 16;
-/// The symmetries that are looked at (see `turned`): none, and mirrored both ways. Each costs as much
-/// as the first; mirrored one way only as well, the error is 0.3 % less.
+/// The symmetries that are looked at (see `turned`): none, and mirrored both ways. With the two that
+/// are mirrored one way the error is 0.3 % less, and the work twice as much.
 constexpr std::array<Index, 2> kLooks{0, 3};
 /// What the mean of their logits is multiplied with: a mean of answers is less sure than they are, and
 /// a mean of candidates lies between them.

@@ -21,9 +21,9 @@ inline bool shown_by_two(const std::vector<nn::PosedImage>& images, double x, do
   return false;
 }
 
-/// Whether two images or more show a place whose height is a guess, even if the ground there is lower
-/// than it by twice the error that is expected: a guess is not to make the room it stands in. Beside
-/// what the images show they would show the top of a tower, and nothing says that there is none.
+/// Whether two images or more show a place whose height is a guess: at that height, and also lower by
+/// twice the expected error. The higher a place is taken to be, the further out images show it, so that
+/// a guess that is too high would put a tower beyond the ground that they show.
 /// x, y, z  local m
 /// sigma    expected error of z, m
 inline bool shown_by_two_if_lower(const std::vector<nn::PosedImage>& images, double x, double y,
