@@ -173,6 +173,17 @@ nlohmann::json images_json(const scene::Scene& scene) {
   return list;
 }
 
+/// Share of the compared heights that agreed; null where none was compared.
+nlohmann::json height_agreement(const SurfaceFacts& facts) {
+  if (facts.compared == 0) return nullptr;
+  return static_cast<double>(facts.agreed) / static_cast<double>(facts.compared);
+}
+
+/// Ground that got the height of a shore, m².
+double area_levelled(const SurfaceFacts& facts) {
+  return static_cast<double>(facts.levelled) * facts.resolution * facts.resolution;
+}
+
 }  // namespace
 
 ReconstructJob::ReconstructJob(const ReconstructCommand& asked)
@@ -194,6 +205,7 @@ reconstruct::ReconstructOptions ReconstructJob::how(const rpc::LocalFrame& frame
   out.surface = options.surface;
   out.network = networks.surface ? &*networks.surface : nullptr;
   out.resolution = options.resolution;
+  out.level_water = options.water == Water::level;
   out.max_memory = max_memory;
   if (rules.mask)
     out.unwanted = [mask = rules.mask, frame](const reconstruct::Grid& grid) {
@@ -298,7 +310,9 @@ nlohmann::json results_json(const SurfaceFacts& facts, const scene::UserScene& u
           {"lowest", facts.heights.low},
           {"highest", facts.heights.high},
           {"mean_confidence", facts.mean_confidence},
+          {"levelled_area", area_levelled(facts)},
           {"image_correlation", facts.image_correlation},
+          {"height_agreement", height_agreement(facts)},
           {"surfels", facts.surfels},
           {"tiles", facts.tiles},
           {"images", images_json(user.scene)},
@@ -316,6 +330,8 @@ void print_summary(const SurfaceFacts& facts, const scene::Scene& scene, double 
               facts.heights.high);
   std::printf("completeness  %.1f %%\n", 100 * facts.completeness);
   std::printf("confidence    %.3f on average\n", facts.mean_confidence);
+  if (facts.levelled > 0)
+    std::printf("water         %.0f m² as level as their shore\n", area_levelled(facts));
   std::printf("surfels       %td from %zu images in %td tile%s\n", facts.surfels,
               scene.views.size(), facts.tiles, facts.tiles == 1 ? "" : "s");
   if (!facts.mesh.is_null())

@@ -126,6 +126,8 @@ struct SurfaceFacts {
   double image_correlation = 0;
   std::string crs;  ///< of the rasters
   Index rows = 0, columns = 0, surfels = 0, tiles = 0;
+  Index compared = 0, agreed = 0;                        ///< see Reconstruction
+  Index levelled = 0;                                    ///< cells, those that tiles share in each
   rpc::HeightRange searched;                             ///< heights above the ellipsoid, m
   rpc::HeightRange heights;                              ///< lowest and highest cell, likewise
   nlohmann::ordered_json mesh;                           ///< null without one

@@ -15,6 +15,8 @@ namespace satsurf::app {
 
 /// How mesh.ply is made: of the fused heights of all views, or not at all.
 enum class MeshKind { tsdf, none };
+/// What becomes of water: a level surface, or what was found.
+enum class Water { level, found };
 /// What the heights of dsm.tif are above.
 enum class Geoid { none, egm96, egm2008 };
 /// The same for a raster.
@@ -30,6 +32,10 @@ enum class ReportKind { html, none };
 template <>
 struct satsurf::EnumNames<satsurf::app::MeshKind> {
   static constexpr std::array names{"tsdf", "none"};
+};
+template <>
+struct satsurf::EnumNames<satsurf::app::Water> {
+  static constexpr std::array names{"level", "found"};
 };
 template <>
 struct satsurf::EnumNames<satsurf::app::Geoid> {
@@ -60,6 +66,7 @@ struct ReconstructConfig {
   Index max_views = scene::kMostViews;
   std::string pointing = "shift";  ///< "shift", "affine", "off" or a file
   reconstruct::Surface surface = reconstruct::Surface::automatic;
+  Water water = Water::level;
   double resolution = 0;     ///< m, 0 for the images' own
   std::string crs = "auto";  ///< of the rasters: "auto", a code, WKT or a string of PROJ
   Geoid geoid = Geoid::none;
@@ -115,6 +122,12 @@ struct ReconstructConfig {
                     "(pointing.json of a run) says the shifts",
             .placeholder = "shift|affine|off|FILE"});
     v("surface", s.surface, surface_field());
+    v("water", s.water,
+      Field{
+          .help =
+              "areas of 2000 m² and more where no image tells the heights of a refined surface, as "
+              "of water: level, with the height of their shore where that is level, or as "
+              "they were found"});
     v("resolution", s.resolution,
       Field{.help = "cell of the surface",
             .unit = "m",
@@ -241,7 +254,7 @@ inline std::vector<WrittenFile> written_by_reconstruct() {
       {"confidence.tif",
        "confidence of the surface, 0 to 1, on the same grid, Float32, nodata -9999"},
       {"height_sigma.tif",
-       "expected error of the heights, m, on the same grid: some three in four are within it "
+       "expected error of the heights, m, on the same grid: some seven in ten are within it "
        "and "
        "more than nine in ten within twice as much; only of a refined surface"},
       {"views.tif",
@@ -292,9 +305,17 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
        "largest_shift (px); null with --pointing off"},
       {"lowest, highest", "of the surface, m above the ellipsoid"},
       {"mean_confidence", "0 to 1"},
+      {"levelled_area",
+       "m² that got the height of their shore, see --water; where tiles overlap, of each"},
       {"image_correlation",
        "-1 to 1, mean of every two images where they show the surface: wrong cameras and heights "
        "lower it; small differences decide nothing"},
+      {"height_agreement",
+       "0 to 1: share of the heights of one image that agree with what another image found at the "
+       "same place to "
+       "a pixel of parallax (0.5 to 2.5 m), what one hides from the other not left out; before "
+       "they become one "
+       "surface. Null of a splatted one"},
       {"surfels", "how many"},
       {"images",
        "of each image: name, bands, type, rgb_bands (counted from 1), stretch (values that "

@@ -244,6 +244,10 @@ std::optional<TileRecord> TileStore::find(const reconstruct::Tile& tile) const {
   out.seconds = record.number("seconds", 0, kLongest);
   out.expected = record.count("expected", 0, cells);  // what is found is among them
   out.found = record.count("found", 0, out.expected);
+  constexpr Index kMostCompared = kMostSurfels * 16 * 16;  // each image's with each other image's
+  out.compared = record.count("compared", 0, kMostCompared);
+  out.agreed = record.count("agreed", 0, out.compared);
+  out.levelled = record.count("levelled", 0, tile.all.height() * tile.all.width());
   const Index least = done ? 1 : 0;
   out.window = {record.count("window_height", least, kLargest),
                 record.count("window_width", least, kLargest)};
@@ -279,6 +283,9 @@ void TileStore::save(const reconstruct::Tile& tile, const TileRecord& record,
                          {"seconds", record.seconds},
                          {"found", record.found},
                          {"expected", record.expected},
+                         {"compared", record.compared},
+                         {"agreed", record.agreed},
+                         {"levelled", record.levelled},
                          {"window_height", record.window.height},
                          {"window_width", record.window.width},
                          {"surfels", record.surfels},

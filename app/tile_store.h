@@ -17,8 +17,10 @@ struct TileRecord {
   std::string status = "empty";  ///< done, empty or failed, which is not put down
   double seconds = 0;
   Index found = 0, expected = 0, surfels = 0;
-  scene::WindowSize window;  ///< px
-  rpc::HeightRange z_range;  ///< that was searched, local m
+  Index compared = 0, agreed = 0;  ///< see Reconstruction
+  Index levelled = 0;              ///< see TileSurface
+  scene::WindowSize window;        ///< px
+  rpc::HeightRange z_range;        ///< that was searched, local m
   double camera_fit_max_px = 0;
   std::vector<std::string> views;  ///< names of the images that it is made of
   std::string error;               ///< of a failed one

@@ -12,7 +12,8 @@ SET      data sets of `simulate` that are there already, whose first three image
 
 A scene's range comes from `reconstruct --dry-run`, its truth from the simulator's surface where it falls into two images or
 more. Prints how many ranges hold the lowest and the highest true height, how many of them those of the water, too, which
-has no texture and may lie far below, and how wide they are. Needs python3-gdal and python3-numpy of Debian.
+has no texture and may lie far below, and how wide they are; then how many of those that the network's first look leaves of
+them to be searched do, and what share of the cells lies beyond. Needs python3-gdal and python3-numpy of Debian.
 """
 import argparse
 import csv
@@ -26,7 +27,8 @@ from osgeo import gdal, osr
 
 gdal.UseExceptions()
 MIX = ["--kinds", "city,suburb,industrial,village,rural,rough", "--kind_weights", "0.35,0.25,0.2,0.07,0.07,0.06"]
-COLUMNS = ["scene", "low", "high", "true_low", "true_high", "low_with_water", "high_with_water"]
+COLUMNS = ["scene", "low", "high", "true_low", "true_high", "low_with_water", "high_with_water", "searched_low", "searched_high",
+           "beyond"]
 WATER = 9  # its class
 
 
@@ -65,8 +67,12 @@ def true_heights(truth, classes, images):
 def tried(program, name, images, truth):
     said = run(program, "reconstruct", *images, "--dry-run", "--quiet")
     low, high = re.search(r"height range +(-?[\d.]+) to (-?[\d.]+) m", said).groups()
+    less = re.search(r"of it +(-?[\d.]+) to (-?[\d.]+) m is searched", said)
+    searched = less.groups() if less else (low, high)
     both = true_heights(truth, truth.with_name(truth.name.replace("_DSM", "_CLS")), images)
-    return [name, low, high, *(f"{z:.2f}" for heights in both for z in (heights.min(), heights.max()))]
+    beyond = np.mean((both[0] < float(searched[0])) | (both[0] > float(searched[1])))
+    return [name, low, high, *(f"{z:.2f}" for heights in both for z in (heights.min(), heights.max())), *searched,
+            f"{beyond:.6f}"]
 
 
 def scenes(options):
@@ -109,7 +115,7 @@ def main():
             rows.append(tried(options.program, name, *get()))
             writer.writerow(rows[-1])
             out.flush()
-    low, high, true_low, true_high, lowest, highest = np.array([r[1:] for r in rows], float).T
+    low, high, true_low, true_high, lowest, highest, least, most, beyond = np.array([r[1:] for r in rows], float).T
     below, above = low - true_low, true_high - high  # m that are missed
     wide = (high - low) / (true_high - true_low)
     print(f"{len(rows)} scenes; {np.sum((below <= 0) & (above <= 0))} ranges hold the surface, "
@@ -118,6 +124,12 @@ def main():
         if b > 0 or a > 0:
             print(f"  {row[0]}: found {row[1]} to {row[2]} m, true {row[3]} to {row[4]} m")
     print(f"as wide as the surface is high: median {np.median(wide):.2f} times, most {wide.max():.2f}")
+    wide = (most - least) / (true_high - true_low)
+    print(f"searched: {np.sum((least <= true_low) & (true_high <= most))} hold the surface, {np.sum(beyond > 0.001)} lack more "
+          f"than a thousandth of it; as wide as it is high: median {np.median(wide):.2f} times, most {wide.max():.2f}")
+    for row, share in zip(rows, beyond):
+        if share > 0.001:
+            print(f"  {row[0]}: searched {row[7]} to {row[8]} m, true {row[3]} to {row[4]} m, {100 * share:.2f} % beyond")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@
 #include "satsurf/reconstruct/cross_check.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -133,7 +134,9 @@ SurfelEvidence surfel_evidence(const nn::NetworkInput& input, const Tensor& heig
     for (std::size_t j = 0; j < N; ++j)
       if (i != j) within[i * N + j] = tolerance(input, i, j);
   SurfelEvidence out{Tensor::uninitialised({kept}), Tensor::uninitialised({kept, 2})};
+  std::atomic<Index> compared = 0, agreed = 0;
   for_range(kept, kGrain, [&](Index begin, Index end) {
+    Index landed = 0, agreeing = 0;
     for (Index n = begin; n < end; ++n) {
       const Index k = keep[static_cast<std::size_t>(n)], p = k % P;
       const auto i = static_cast<std::size_t>(k / P);
@@ -145,7 +148,8 @@ SurfelEvidence surfel_evidence(const nn::NetworkInput& input, const Tensor& heig
         if (there < 0) continue;
         const double sure = static_cast<double>(confidence[static_cast<Index>(j) * P + there]),
                      e = (check.height(j, there) - z) / within[i * N + j];
-        if (std::abs(e) <= 1) agree += sure * (1 - 0.5 * e * e);
+        ++landed;
+        if (std::abs(e) <= 1) agree += sure * (1 - 0.5 * e * e), ++agreeing;
         if (e < -1) contradict += sure * std::min(1.0, -e - 1);
       }
       out.weight[n] =
@@ -155,7 +159,9 @@ SurfelEvidence surfel_evidence(const nn::NetworkInput& input, const Tensor& heig
       out.rays[2 * n] = static_cast<float>(ground[0][2]);
       out.rays[2 * n + 1] = static_cast<float>(ground[1][2]);
     }
+    compared += landed, agreed += agreeing;
   });
+  out.compared = compared, out.agreed = agreed;
   return out;
 }
 

@@ -14,6 +14,8 @@ namespace satsurf::reconstruct {
 struct SurfelEvidence {
   Tensor weight;  ///< [P] what each counts for
   Tensor rays;    ///< [P 2] m east and north that the ray to its camera moves per metre of height
+  Index compared = 0;  ///< times that a surfel fell on a pixel of another view
+  Index agreed = 0;    ///< how often that one's height agreed with it
 };
 
 /// Weighs the surfels of a window's pixels. Another view into which a surfel falls found, in the

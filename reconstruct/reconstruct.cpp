@@ -8,6 +8,7 @@
 #include "satsurf/reconstruct/cast.h"
 #include "satsurf/reconstruct/cell_count.h"
 #include "satsurf/reconstruct/fusion.h"
+#include "satsurf/reconstruct/level_water.h"
 #include "satsurf/reconstruct/narrow.h"
 #include "satsurf/reconstruct/shown_place.h"
 #include "satsurf/reconstruct/surface_input.h"
@@ -96,6 +97,7 @@ class Evidence {
     const SurfelEvidence evidence = surfel_evidence(
         input, heights, first_channel(stage.surfels.aux.value(), heights.shape()), keep);
     weights_.push_back(Var(evidence.weight));
+    compared_ += evidence.compared, agreed_ += evidence.agreed;
     rays_.push_back(Var(evidence.rays));
     interval_ += parallax_interval(input);
     const double z = input.z_range.middle();
@@ -103,7 +105,9 @@ class Evidence {
       footprint_ +=
           nn::pixel_geometry(view, z, 1).footprint / static_cast<double>(input.sources.size());
   }
-  SurfelEvidence all() const { return {concat(weights_, 0).value(), concat(rays_, 0).value()}; }
+  SurfelEvidence all() const {
+    return {concat(weights_, 0).value(), concat(rays_, 0).value(), compared_, agreed_};
+  }
   FusionGrid on(const Grid& cells) const {
     const double tiles = static_cast<double>(weights_.size());
     return {.east = cells.east,
@@ -118,6 +122,7 @@ class Evidence {
  private:
   std::vector<Var> weights_, rays_;
   double footprint_ = 0, interval_ = 0;  ///< summed over the tiles, m
+  Index compared_ = 0, agreed_ = 0;
 };
 
 /// The cells of the surface: those that are asked for, else those of the ground that two views show
@@ -255,6 +260,7 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
   all.surfels = splat::joined(parts);
   all.cells = cells_of(scene, plan, options, all.surfels.means.value());
   if (weighed) all.evidence = evidence.all(), all.grid = evidence.on(all.cells);
+  out.compared = all.evidence.compared, out.agreed = all.evidence.agreed;
   all.confidence = first_channel(all.surfels.aux.value(), {all.surfels.means.value().dim(0)});
   return all;
 }
@@ -320,6 +326,8 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
   switch (surface_kind(options)) {
     case Surface::refined:
       surface = refined(*options.network, all, out, out.sigma);
+      if (options.level_water)
+        out.levelled = level_water(surface.heights, out.sigma, surface.confidence, all.cells.step);
       break;
     case Surface::plain:
       surface = fuse_surfels(all.surfels.means.value(), all.confidence, all.evidence, all.grid);

@@ -23,6 +23,10 @@ struct Reconstruction {
   /// The scene's images, whole, each with the one camera that was fitted to it.
   std::vector<nn::PosedImage> images;
   Index tiles = 0;
+  /// How often a height of one image was compared with that of another at the same place, and agreed to
+  /// a pixel of parallax, see `surfel_evidence`; 0 for a splatted surface.
+  Index compared = 0, agreed = 0;
+  Index levelled = 0;       ///< cells that got the height of a shore, see `level_water`
   double voxel = 0;         ///< see ReconstructPlan
   double completeness = 0;  ///< share of the common footprint's cells that got a height
   /// Largest distance between a camera and the quadratics that stood in for it, px. Above 0.1 it

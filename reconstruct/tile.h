@@ -11,16 +11,18 @@ namespace satsurf::reconstruct {
 struct TileSurface {
   bool empty =
       true;  ///< fewer than two views show anything of it, or none of it is wanted; nothing else is set then
-  Tensor heights;            ///< [h w] of all its cells, local z in m, NaN where unknown
-  Tensor confidence;         ///< alike
-  Tensor sigma;              ///< alike; empty unless the surface is refined
-  Tensor views;              ///< alike: how many images see the cell
-  Tensor ortho;              ///< [C h w] alike, as `orthophoto`; empty where nothing is seen
-  splat::Surfels surfels;    ///< those over its core and inside; without tensors for none
-  rpc::HeightRange z_range;  ///< that was searched, local m
-  scene::WindowSize window;  ///< what the network saw of each view, px
-  Index found = 0;           ///< cells of the core, and inside, with a height
-  Index expected = 0;        ///< and those two views show
+  Tensor heights;                  ///< [h w] of all its cells, local z in m, NaN where unknown
+  Tensor confidence;               ///< alike
+  Tensor sigma;                    ///< alike; empty unless the surface is refined
+  Tensor views;                    ///< alike: how many images see the cell
+  Tensor ortho;                    ///< [C h w] alike, as `orthophoto`; empty where nothing is seen
+  splat::Surfels surfels;          ///< those over its core and inside; without tensors for none
+  rpc::HeightRange z_range;        ///< that was searched, local m
+  scene::WindowSize window;        ///< what the network saw of each view, px
+  Index found = 0;                 ///< cells of the core, and inside, with a height
+  Index expected = 0;              ///< and those two views show
+  Index compared = 0, agreed = 0;  ///< see Reconstruction
+  Index levelled = 0;              ///< cells, of the core and what it shares, see `level_water`
   double camera_fit_max_px = 0;
 };
 

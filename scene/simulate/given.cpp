@@ -4,6 +4,7 @@
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/raster.h"
+#include "satsurf/scene/box_mean.h"
 #include "satsurf/scene/classes.h"
 #include "satsurf/scene/simulate/dress.h"
 #include "satsurf/scene/simulate/noise.h"

@@ -40,7 +40,4 @@ struct Fractal {
 /// returns  [H W]
 Tensor fractal_noise(Index H, Index W, double step, const Fractal& fractal);
 
-/// Mean over a square of (2 radius + 1)^2 cells, cut off at the edges.
-Tensor box_mean(const Tensor& grid, Index radius);
-
 }  // namespace satsurf::scene::simulate

@@ -2,7 +2,7 @@
 #include "satsurf/scene/simulate/texture.h"
 
 #include "satsurf/core/parallel.h"
-#include "satsurf/scene/simulate/noise.h"
+#include "satsurf/scene/box_mean.h"
 
 #include <algorithm>
 #include <cmath>

@@ -194,6 +194,14 @@ for file in dsm.tif confidence.tif ortho.tif views.tif surfels.ply mesh.ply run.
 done
 holds "it records the mesh and how long it took" grep -qE '"voxel": [0-9.]+,?$' out/run.json
 holds "it says what the mesh is" grep -qE "^mesh +[0-9]+ faces, voxels of [0-9.]+ m$" stdout
+# with the shipped weights: those of here find no lake
+succeeds "simulating a lake" "$satsurf" simulate --out lake --scenes 1 --water 1 --kinds suburb --pixels 288 --views 3 --gsd 0.5 --seed 4 --quiet
+succeeds "water" "$satsurf" reconstruct lake/Track3-RGB/*.tif --out lake_level --mesh none --report none --quiet
+holds "it is as level as its shore" grep -qE "^water +[0-9]{5} m² as level as their shore" stdout
+holds "it records how much" grep -qE '"levelled_area": [0-9]{5}' lake_level/run.json
+succeeds "water as it is found" "$satsurf" reconstruct lake/Track3-RGB/*.tif --water found --out lake_found --mesh none --report none --quiet
+holds "nothing is made level" grep -qE '"levelled_area": 0.0' lake_found/run.json
+holds "and nothing said of it" test -z "$(grep ^water stdout)"
 succeeds "shifts from a file" "$satsurf" reconstruct "${images[@]}" --out shifted --weights $weights --mesh none --pointing out/pointing.json --quiet
 holds "its shifts are those of the file" \
   diff <(grep shift_ out/pointing.json) <(grep shift_ shifted/pointing.json)

@@ -6,6 +6,7 @@
 #include "satsurf/reconstruct/fusion.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <functional>
@@ -149,6 +150,20 @@ TEST_CASE("contradiction takes weight and hiding does not") {
   CHECK(weight() == doctest::Approx(0.8 / (1 + 2 * 1.6)));
   made.heights[middle] = -3;  // under what they see
   CHECK(weight() == doctest::Approx(0.8));
+}
+
+TEST_CASE("heights that agree in other views are counted") {
+  MadeUp made([](double, double) { return 0.0; });
+  const Index middle = 24 * S + 24;
+  const auto counts = [&](const std::vector<Index>& keep) {
+    const auto evidence = surfel_evidence(made.input, made.heights, made.confidence, keep);
+    return std::array{evidence.compared, evidence.agreed};
+  };
+  CHECK(counts({middle}) == std::array<Index, 2>{2, 2});
+  CHECK(counts({middle, P + middle}) == std::array<Index, 2>{4, 4});
+  made.heights[middle] = 3;
+  CHECK(counts({middle}) == std::array<Index, 2>{2, 0});
+  CHECK(counts({}) == std::array<Index, 2>{0, 0});
 }
 
 TEST_CASE("a cell that no surfel reaches is a hole") {

@@ -2,6 +2,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/fit.h"
 #include "satsurf/rpc/raster.h"
+#include "satsurf/scene/box_mean.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
 #include "satsurf/scene/simulate/city.h"
