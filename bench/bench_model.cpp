@@ -7,6 +7,7 @@
 #include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/model.h"
 #include "satsurf/nn/mono.h"
+#include "satsurf/nn/surface_net.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/cost_volume.h"
@@ -133,6 +134,28 @@ void infer(benchmark::State& state, const std::string& preset) {
                  [&] { benchmark::DoNotOptimize(model.forward(scene)[2].height.value().data()); });
 }
 
+/// What a reconstruction asks of the shipped cascade: the heights. Its multiply-adds are not counted.
+void shipped_infer(benchmark::State& state) {
+  const nn::Model model(nn::model_preset("wide8"), 1);
+  const auto scene = bench_scene(state.range(1));
+  const NoGrad no_grad;
+  time_and_weigh(state, {}, [&] {
+    const auto stages = model.forward(scene, {}, nullptr, nn::Wanted::heights);
+    benchmark::DoNotOptimize(stages[2].height.value().data());
+  });
+}
+
+/// The surface network, both looks, of side x side cells. Its multiply-adds are not counted.
+void surface_infer(benchmark::State& state) {
+  const nn::SurfaceModel network({}, 1);
+  const Index side = state.range(0);
+  const nn::SurfaceInput input{normal({nn::kSurfaceCandidates, side, side}).value(),
+                               normal({nn::kSurfacePlanes, side, side}).value(), 1};
+  const NoGrad no_grad;
+  time_and_weigh(state, {},
+                 [&] { benchmark::DoNotOptimize(nn::refined(network, input).heights.data()); });
+}
+
 void mono_infer(benchmark::State& state) {
   const nn::MonoConfig config = nn::model_preset("base8").mono_net;
   nn::ParameterSet<float> parameters(1);
@@ -239,6 +262,10 @@ void add_model_rows() {
           ->Args({3, stage, side});
   for (const std::int64_t side : {256, 512, 1024})
     benchmark::RegisterBenchmark("mono_infer", mono_infer)->ArgNames(names)->Args({3, side});
+  for (const std::int64_t side : {256, 512, 1024}) {
+    benchmark::RegisterBenchmark("shipped_infer", shipped_infer)->ArgNames(names)->Args({3, side});
+    benchmark::RegisterBenchmark("surface_infer", surface_infer)->ArgNames({"side"})->Args({side});
+  }
   // matching alone, and the whole method
   const std::pair<std::string, std::string> presets[]{{"cascade", "cascade8"}, {"method", "base8"}};
   for (const auto& [name, preset] : presets) {

@@ -87,6 +87,7 @@ PARTS = {
     'bilinear centres': [*SEARCH, '--model.centre', 'bilinear'],
     'no distribution loss': [*SEARCH, '--distribution_weight', '0'],
     'heights out of reach': [*SEARCH, '--height_in_reach', 'false'],
+    'views in their own light': [*SEARCH, '--radiometry_views', '0.1'],
     'none of the parts': ['--preset', 'base8', *SEARCH[2:]],
 }
 
