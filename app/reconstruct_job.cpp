@@ -331,7 +331,7 @@ void print_summary(const SurfaceFacts& facts, const scene::Scene& scene, double 
   std::printf("completeness  %.1f %%\n", 100 * facts.completeness);
   std::printf("confidence    %.3f on average\n", facts.mean_confidence);
   if (facts.levelled > 0)
-    std::printf("water         %.0f m² as level as their shore\n", area_levelled(facts));
+    std::printf("water         %.0f m² made level with the shore\n", area_levelled(facts));
   std::printf("surfels       %td from %zu images in %td tile%s\n", facts.surfels,
               scene.views.size(), facts.tiles, facts.tiles == 1 ? "" : "s");
   if (!facts.mesh.is_null())

@@ -125,9 +125,9 @@ struct ReconstructConfig {
     v("water", s.water,
       Field{
           .help =
-              "areas of 2000 m² and more where no image tells the heights of a refined surface, as "
-              "of water: level, with the height of their shore where that is level, or as "
-              "they were found"});
+              "what becomes of water, and of other areas of 2000 m² and more where no image tells "
+              "the height: level gives them the height of their shore where that is level, found "
+              "leaves what was found; of refined surfaces"});
     v("resolution", s.resolution,
       Field{.help = "cell of the surface",
             .unit = "m",
@@ -311,11 +311,10 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
        "-1 to 1, mean of every two images where they show the surface: wrong cameras and heights "
        "lower it; small differences decide nothing"},
       {"height_agreement",
-       "0 to 1: share of the heights of one image that agree with what another image found at the "
-       "same place to "
-       "a pixel of parallax (0.5 to 2.5 m), what one hides from the other not left out; before "
-       "they become one "
-       "surface. Null of a splatted one"},
+       "0 to 1: how often two images found the same height at the same place, to a pixel of "
+       "parallax "
+       "(0.5 to 2.5 m), before one surface was made of them; places that one of them does not see "
+       "count as disagreement. Null of a splatted surface"},
       {"surfels", "how many"},
       {"images",
        "of each image: name, bands, type, rgb_bands (counted from 1), stretch (values that "

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/reconstruct/level_water.h"
 
+#include "satsurf/reconstruct/quantile.h"
 #include "satsurf/scene/box_mean.h"
 
 #include <algorithm>
@@ -84,14 +85,6 @@ Cells doubtful_cells(const Tensor& heights, const Tensor& sigma, const Tensor& c
     if (known[i] > 0 && sigma[i] > kSure && 2 * some[i] > all[i])
       out.state[static_cast<std::size_t>(i)] = State::doubtful;
   return out;
-}
-
-/// The value that a share of some lie below, of which there is one or more.
-float quantile(std::vector<float>& values, double share) {
-  const auto at =
-      values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size()));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
 }
 
 /// The height of a level shore; NaN for another.

@@ -6,6 +6,7 @@
 #include "satsurf/reconstruct/cell_mode.h"
 #include "satsurf/reconstruct/cell_surfels.h"
 #include "satsurf/reconstruct/horizon.h"
+#include "satsurf/reconstruct/quantile.h"
 
 #include <algorithm>
 #include <array>
@@ -32,13 +33,6 @@ struct Blocks {
   Index side, rows, columns;
   Tensor median, low;  ///< [rows columns] of the cells' heights, NaN where none is known
 };
-
-/// The element that `share` of them lie below.
-float quantile(std::vector<float>& values, double share) {
-  const auto n = static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size()));
-  std::nth_element(values.begin(), values.begin() + n, values.end());
-  return values[static_cast<std::size_t>(n)];
-}
 
 Blocks blocks_of(const float* heights, const FusionGrid& grid) {
   constexpr double kSide = 2.5, kLow = 0.2;  // m, share

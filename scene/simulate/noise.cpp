@@ -3,7 +3,6 @@
 
 #include "satsurf/core/parallel.h"
 
-#include <algorithm>
 #include <cmath>
 #include <vector>
 

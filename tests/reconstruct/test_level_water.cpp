@@ -2,6 +2,7 @@
 #include "satsurf/core/rng.h"
 #include "satsurf/reconstruct/level_water.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include <doctest/doctest.h>
