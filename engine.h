@@ -40,6 +40,7 @@
 #include "satsurf/nn/running_mean.h"
 #include "satsurf/nn/search.h"
 #include "satsurf/nn/shipped_weights.h"
+#include "satsurf/nn/sigma_net.h"
 #include "satsurf/nn/stage.h"
 #include "satsurf/nn/surface_net.h"
 #include "satsurf/nn/surfel_head.h"

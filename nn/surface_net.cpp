@@ -5,6 +5,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/core/symmetry.h"
 #include "satsurf/nn/parameter_limit.h"
+#include "satsurf/nn/squeezed.h"
 #include "satsurf/ops/candidates.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/elementwise.h"
@@ -31,12 +32,53 @@ constexpr std::array<Index, 2> kLooks{0, 3};
 /// a mean of candidates lies between them.
 constexpr float kSharper = 1.25F;
 
-/// A height of any size as a number of order 1: differences of noise and those of towers both tell.
-double squeezed(double z) { return 0.5 * std::asinh(z); }
-
 /// What the first convolution reads: of every candidate its height above the ground and above the
 /// mode, then the planes, then where there are surfels.
 constexpr Index kChannels = 2 * kSurfaceCandidates + kSurfacePlanes + 1;
+
+/// Of the candidates' weights the largest, and how far those that have some are from the height.
+/// P  cells of a plane
+template <class T>
+void add_choice(const T* logits, const float* candidates, Index P, const SurfaceInput& input,
+                Index cell, FoundSurface& to) {
+  const auto height = static_cast<double>(to.heights[cell]) * input.interval;
+  double top = -INFINITY, sum = 0, square = 0;
+  for (Index k = 0; k < kSurfaceCandidates; ++k)
+    if (std::isfinite(candidates[k * P])) top = std::max(top, static_cast<double>(logits[k * P]));
+  for (Index k = 0; k < kSurfaceCandidates; ++k) {
+    const double d = static_cast<double>(candidates[k * P]) - height;
+    if (!std::isfinite(d)) continue;
+    const double w = std::exp(static_cast<double>(logits[k * P]) - top);
+    sum += w, square += w * d * d;
+  }
+  to.most[cell] = static_cast<float>(1 / sum);
+  to.spread[cell] = static_cast<float>(std::sqrt(square / sum) / input.interval);
+}
+
+/// What the second network is told of a surface.
+template <class T>
+FoundSurface found_surface(const SurfaceInput& input, const SurfaceOutput<T>& said,
+                           const BasicTensor<T>& heights) {
+  const Shape shape = heights.shape();
+  const Index P = heights.count();
+  FoundSurface out{Tensor(shape), Tensor(shape), Tensor(shape), Tensor(shape), Tensor(shape)};
+  const auto plane = [&](SurfacePlane p, Index i) {
+    return input.planes[static_cast<Index>(p) * P + i];
+  };
+  for_range(P, 1 << 12, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) {
+      if (!has_candidate(input.candidates, i)) {
+        out.heights[i] = std::nanf("");
+        continue;
+      }
+      out.heights[i] = static_cast<float>(static_cast<double>(heights[i]) / input.interval);
+      out.log_scale[i] = static_cast<float>(said.log_scale.value()[i]);
+      out.sure[i] = plane(SurfacePlane::confidence, i) * plane(SurfacePlane::mode_share, i);
+      add_choice(said.logits.value().data() + i, input.candidates.data() + i, P, input, i, out);
+    }
+  });
+  return out;
+}
 
 /// The network's answers for the cells of a surface of H x W.
 /// all  [1 K+2 h w]
@@ -69,6 +111,7 @@ SurfaceNet<T>::SurfaceNet(ParameterSet<T>& p, const SurfaceConfig& config)
     up_.push_back(Up{Conv2d<T>(p, level + ".reduce", in, out, 1),
                      Conv2d<T>(p, level + ".same", out, out, 3)});
   }
+  if (config.sigma_hidden > 0) sigma_.emplace(p, "sigma.", config.sigma_hidden);
 }
 
 template <class T>
@@ -127,6 +170,15 @@ BasicVar<T> SurfaceNet<T>::maps(const BasicTensor<T>& channels) const {
 }
 
 template <class T>
+BasicVar<T> SurfaceNet<T>::log_scale(const SurfaceInput& input, const SurfaceOutput<T>& said,
+                                     const BasicTensor<T>& heights) const {
+  const BasicVar<T> before(said.log_scale.value());
+  if (!sigma_) return before;
+  const Tensor channels = sigma_channels(found_surface(input, said, heights));
+  return before + (*sigma_)(channels.template cast<T>());
+}
+
+template <class T>
 SurfaceOutput<T> SurfaceNet<T>::operator()(const SurfaceInput& input) const {
   return output_of(maps(channels(input)), input.planes.dim(1), input.planes.dim(2));
 }
@@ -156,7 +208,7 @@ bool has_candidate(const Tensor& candidates, Index cell) {
   return false;
 }
 
-RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
+SurfaceOutput<float> mean_of_looks(const SurfaceModel& network, const SurfaceInput& input) {
   const NoGrad no_grad;
   const Tensor channels = SurfaceNet<float>::channels(input);
   Tensor mean;
@@ -170,26 +222,34 @@ RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
       for (Index i = c * n; i < (c + 1) * n; ++i) mean[i] += share * one[i];
     });
   }
-  const SurfaceOutput<float> out =
-      output_of(Var(std::move(mean)), input.planes.dim(1), input.planes.dim(2));
+  return output_of(Var(std::move(mean)), input.planes.dim(1), input.planes.dim(2));
+}
+
+RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input) {
+  const NoGrad no_grad;
+  const SurfaceOutput<float> out = mean_of_looks(network, input);
   RefinedSurface surface{
       chosen_height(out.logits, out.residual, input.candidates, kSurfaceReach * input.interval)
           .value(),
-      Tensor::uninitialised(out.log_scale.shape())};
+      {},
+      {}};
   const Index P = surface.heights.count();
-  // A Laplace distribution of mean error b has 68.3 % of its mass within 1.148 b.
-  constexpr double kSigma = 1.148;
-  const Tensor& scales = out.log_scale.value();
-  for_range(P, 1 << 14, [&](Index begin, Index end) {
-    for (Index i = begin; i < end; ++i) {
-      const bool any = has_candidate(input.candidates, i);
-      surface.sigma[i] =
-          any ? static_cast<float>(kSigma *
-                                   laplace_scale(static_cast<double>(scales[i]), input.interval))
-              : std::nanf("");
-      if (!any) surface.heights[i] = std::nanf("");
-    }
-  });
+  const auto error_of = [&](const Tensor& scales) {
+    Tensor error = Tensor::uninitialised(scales.shape());
+    for_range(P, 1 << 14, [&](Index begin, Index end) {
+      for (Index i = begin; i < end; ++i)
+        error[i] =
+            has_candidate(input.candidates, i)
+                ? static_cast<float>(kSigmaOfScale *
+                                     laplace_scale(static_cast<double>(scales[i]), input.interval))
+                : std::nanf("");
+    });
+    return error;
+  };
+  surface.sigma = error_of(network.net().log_scale(input, out, surface.heights).value());
+  surface.doubt = error_of(out.log_scale.value());
+  for (Index i = 0; i < P; ++i)
+    if (!std::isfinite(surface.doubt[i])) surface.heights[i] = std::nanf("");
   return surface;
 }
 

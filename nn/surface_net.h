@@ -3,9 +3,11 @@
 
 #include "satsurf/core/fields.h"
 #include "satsurf/nn/blocks.h"
+#include "satsurf/nn/sigma_net.h"
 
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 namespace satsurf::nn {
@@ -65,11 +67,18 @@ struct SurfaceInput {
 /// Every width of the surface network.
 struct SurfaceConfig {
   Index base = 12;  ///< channels at full resolution; x2, x4, x6, x8 at strides 2 to 16
+  /// Channels of the network that says what errors to expect of the heights; 0: the first one says it.
+  Index sigma_hidden = 0;
 
   template <class Self, class V>
   static void fields(Self& s, V&& v) {
     v("base", s.base,
       Field{.help = "channels of the surface network at full resolution", .min = 1, .max = 64});
+    v("sigma_hidden", s.sigma_hidden,
+      Field{.help = "channels of the network that says what errors to expect of its heights; 0: it "
+                    "says so itself",
+            .min = 0,
+            .max = 512});
   }
   friend bool operator==(const SurfaceConfig&, const SurfaceConfig&) = default;
 };
@@ -82,12 +91,16 @@ struct SurfaceOutput {
   BasicVar<T> log_scale;  ///< [H W] logarithm of the expected error, in intervals
 };
 
+/// Sigma in scales b: a Laplace distribution of mean error b has 68.3 % of its mass within that.
+inline constexpr double kSigmaOfScale = 1.148;
+
 /// How far a height may be from what the candidates say, in intervals.
 inline constexpr double kSurfaceReach = 2;
 
 /// A 2D U-Net on the grid of a surface: of candidates for every cell and what the images say of them
 /// it makes one height and says how unsure it is. It looks some 100 cells far. Nothing in it is
-/// normalised over the map, so that a cell's height does not depend on the size of the surface.
+/// normalised over the map, so that a cell's height does not depend on the size of the surface. A second
+/// network may look at the heights that came of it and say better how large their errors are.
 /// Source: after Stucker and Schindler 2022 (ResDepth); here it chooses before it corrects.
 template <class T>
 class SurfaceNet {
@@ -102,6 +115,13 @@ class SurfaceNet {
   static BasicTensor<T> channels(const SurfaceInput& input);
   /// What comes of it: the logits, the residual and the logarithm of the scale, [1 K+2 h w].
   BasicVar<T> maps(const BasicTensor<T>& channels) const;
+  /// The logarithm of the scale once heights are known: what was said of it and what the second network
+  /// adds.
+  /// said     what the first one says; carries no gradient from here
+  /// heights  [H W] m that came of it
+  /// returns  [H W]; said's own if there is no second network
+  BasicVar<T> log_scale(const SurfaceInput& input, const SurfaceOutput<T>& said,
+                        const BasicTensor<T>& heights) const;
 
  private:
   struct Down {
@@ -116,6 +136,7 @@ class SurfaceNet {
   std::vector<Down> down_;  ///< to strides 2, 4, 8, 16
   std::vector<Up> up_;      ///< to strides 8, 4, 2, 1
   Conv2d<T> head_;
+  std::optional<SigmaNet<T>> sigma_;
 };
 
 /// A surface network with its own parameters.
@@ -145,13 +166,16 @@ using SurfaceModel = BasicSurfaceModel<float>;
 /// symmetry  see `turned`
 SurfaceModel turned(const SurfaceModel& network, Index symmetry);
 
-/// A surface as the network made it.
+/// A surface as the networks made it.
 struct RefinedSurface {
   Tensor heights;  ///< [H W] local m, NaN where there is no candidate
-  /// [H W] m, NaN alike: 1.148 times the expected error, within which a Laplace distribution has 68 %
-  /// of its mass. Errors have longer tails than that: on simulated scenes 70 to 85 % of the heights
-  /// are within it and 91 to 95 % within twice as much.
+  /// [H W] m, NaN alike: the expected error. On simulated scenes some 71 % of the heights are within it
+  /// and 93 % within twice as much.
   Tensor sigma;
+  /// [H W] m, NaN alike: the same as the network that found the heights says, 1.148 times the mean error of
+  /// the likeliest Laplace distribution. The worst errors count for more in it, so what is no more than a
+  /// guess is told by it.
+  Tensor doubt;
 };
 /// Whether a cell has any candidate at all.
 /// candidates  [K H W]
@@ -161,5 +185,7 @@ bool has_candidate(const Tensor& candidates, Index cell);
 /// count 1.25 times, since the mean is less sure than they are.
 /// throws  ShapeError
 RefinedSurface refined(const SurfaceModel& network, const SurfaceInput& input);
+/// The mean of what the network says with both looks.
+SurfaceOutput<float> mean_of_looks(const SurfaceModel& network, const SurfaceInput& input);
 
 }  // namespace satsurf::nn

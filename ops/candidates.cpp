@@ -176,6 +176,64 @@ BasicVar<T> laplace_loss(const BasicVar<T>& height, const BasicVar<T>& log_scale
       });
 }
 
+namespace {
+
+/// 1 where u is well above 0, 0 where it is well below; and its slope there.
+struct SmoothStep {
+  double value, slope;
+};
+SmoothStep smooth_step(double u) {
+  constexpr double kWidth = 0.15;
+  const double v = 1 / (1 + std::exp(-u / kWidth));
+  return {v, v * (1 - v) / kWidth};
+}
+
+}  // namespace
+
+template <class T>
+BasicVar<T> sigma_loss(const BasicTensor<T>& height, const BasicVar<T>& log_scale,
+                       const BasicTensor<T>& truth, const BasicTensor<T>& weight, double unit,
+                       double times, double two) {
+  Dims dim("sigma_loss");
+  dim.match("height", height, "H W")
+      .match("log_scale", log_scale, "H W")
+      .match("truth", truth, "H W")
+      .match("weight", weight, "H W");
+  const Index P = truth.count();
+  // of log(sigma / error)
+  const auto loss_of = [=](Index i, double log_scale_of_i) -> SmoothStep {
+    constexpr double kLeastError = 1e-9;  // units
+    const double e = std::abs(static_cast<double>(height[i] - truth[i])) / unit,
+                 u = limited(log_scale_of_i) + std::log(times / std::max(e, kLeastError));
+    const SmoothStep within_one = smooth_step(u), within_two = smooth_step(u + std::log(2.0));
+    return {within_one.value - two * within_two.value, within_one.slope - two * within_two.slope};
+  };
+  const T* s = log_scale.value().data();
+  const WeightedSum sums = ordered_reduce(P, kGrain, WeightedSum{}, [&](Index begin, Index end) {
+    WeightedSum piece;
+    for (Index i = begin; i < end; ++i) {
+      if (!(weight[i] > 0)) continue;
+      const auto w = static_cast<double>(weight[i]);
+      piece += {w * loss_of(i, static_cast<double>(s[i])).value, w};
+    }
+    return piece;
+  });
+  return BasicVar<T>::record("sigma_loss", BasicTensor<T>::scalar(static_cast<T>(sums.mean())),
+                             {log_scale}, [=](Node<T>& n) {
+                               T* ds = n.grad_in(0);
+                               const T* scale = n.in(0);
+                               const double factor = static_cast<double>(n.grad[0]) / sums.total();
+                               for_range(P, kGrain, [&](Index begin, Index end) {
+                                 for (Index i = begin; i < end; ++i) {
+                                   const auto raw = static_cast<double>(scale[i]);
+                                   if (!(weight[i] > 0) || raw != limited(raw)) continue;
+                                   ds[i] += static_cast<T>(factor * static_cast<double>(weight[i]) *
+                                                           loss_of(i, raw).slope);
+                                 }
+                               });
+                             });
+}
+
 template <class T>
 BasicVar<T> candidate_cross_entropy(const BasicVar<T>& logits, const BasicTensor<T>& candidates,
                                     const BasicTensor<T>& truth, const BasicTensor<T>& weight,
@@ -230,6 +288,9 @@ BasicVar<T> candidate_cross_entropy(const BasicVar<T>& logits, const BasicTensor
                                      const BasicTensor<T>&, double);                               \
   template BasicVar<T> laplace_loss(const BasicVar<T>&, const BasicVar<T>&, const BasicTensor<T>&, \
                                     const BasicTensor<T>&, double);                                \
+  template BasicVar<T> sigma_loss(const BasicTensor<T>&, const BasicVar<T>&,                       \
+                                  const BasicTensor<T>&, const BasicTensor<T>&, double, double,    \
+                                  double);                                                         \
   template BasicVar<T> candidate_cross_entropy(const BasicVar<T>&, const BasicTensor<T>&,          \
                                                const BasicTensor<T>&, const BasicTensor<T>&,       \
                                                double)

@@ -40,6 +40,25 @@ template <class T>
 BasicVar<T> laplace_loss(const BasicVar<T>& height, const BasicVar<T>& log_scale,
                          const BasicTensor<T>& truth, const BasicTensor<T>& weight, double unit);
 
+/// Weighted mean of
+///   [e <= sigma] - two [e <= 2 sigma],   e = |h - t|,  sigma = times b,  b as `laplace_scale`,
+/// where [e <= s] is smooth, 1 / (1 + (e / s)^(1 / 0.15)). It is least where of all cells that look alike
+/// as few as possible have their error within sigma and as many as possible within two, so that it keeps
+/// the errors between those; for normal errors and two = exp(1.5) / 2 at their standard deviation. Unlike
+/// the likelihood it does not mind how far beyond the others are.
+/// height             [H W] m; carries no gradient
+/// log_scale          [H W]
+/// truth, weight      [H W], as above
+/// unit               m
+/// times              above 0
+/// two                above 1
+/// returns            a scalar; 0 where nothing counts
+/// throws             ShapeError
+template <class T>
+BasicVar<T> sigma_loss(const BasicTensor<T>& height, const BasicVar<T>& log_scale,
+                       const BasicTensor<T>& truth, const BasicTensor<T>& weight, double unit,
+                       double times, double two);
+
 /// Weighted mean of the cross-entropy between the weights of `chosen_height` and a target that falls
 /// off with a candidate's distance from the truth:
 ///   -sum_k q_k log w_k,  q_k ~ exp(-|z_k - t| / unit)

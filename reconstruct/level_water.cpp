@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/reconstruct/level_water.h"
 
+#include "satsurf/core/box_filters.h"
 #include "satsurf/reconstruct/quantile.h"
-#include "satsurf/scene/box_mean.h"
 
 #include <algorithm>
 #include <cmath>
@@ -68,28 +68,28 @@ struct Cells {
 };
 
 /// Cells around which most are in doubt, but for those that are sure: boats and bridges.
-Cells doubtful_cells(const Tensor& heights, const Tensor& sigma, const Tensor& confidence,
+Cells doubtful_cells(const Tensor& heights, const Tensor& doubt, const Tensor& confidence,
                      double step) {
   const Shape& shape = heights.shape();
   Tensor known(shape), doubtful(shape);
   for (Index i = 0; i < heights.count(); ++i) {
     if (!std::isfinite(heights[i])) continue;
     known[i] = 1;
-    doubtful[i] = sigma[i] > kDoubtful && confidence[i] < kUnconfirmed;
+    doubtful[i] = doubt[i] > kDoubtful && confidence[i] < kUnconfirmed;
   }
   const Index radius = std::max<Index>(1, std::lround(kAround / step));
-  const Tensor all = scene::box_mean(known, radius), some = scene::box_mean(doubtful, radius);
+  const Tensor all = box_mean(known, radius), some = box_mean(doubtful, radius);
   Cells out{heights.dim(0), heights.dim(1),
             std::vector<State>(static_cast<std::size_t>(heights.count()))};
   for (Index i = 0; i < heights.count(); ++i)
-    if (known[i] > 0 && sigma[i] > kSure && 2 * some[i] > all[i])
+    if (known[i] > 0 && doubt[i] > kSure && 2 * some[i] > all[i])
       out.state[static_cast<std::size_t>(i)] = State::doubtful;
   return out;
 }
 
 /// The height of a level shore; NaN for another.
 /// rim   cells around a piece
-float level_of(const std::vector<Index>& rim, const Tensor& heights, const Tensor& sigma,
+float level_of(const std::vector<Index>& rim, const Tensor& heights, const Tensor& doubt,
                double step) {
   const Index width = heights.dim(1);
   const auto square = [&](Index cell) {
@@ -99,7 +99,7 @@ float level_of(const std::vector<Index>& rim, const Tensor& heights, const Tenso
   std::map<std::pair<Index, Index>, std::vector<float>> squares;
   std::size_t sure = 0;
   for (const Index i : rim)
-    if (sigma[i] < kSure) squares[square(i)].push_back(heights[i]), ++sure;
+    if (doubt[i] < kSure) squares[square(i)].push_back(heights[i]), ++sure;
   std::vector<float> shore;
   for (auto& [place, found] : squares)
     if (std::ssize(found) >= kLeastCells) shore.push_back(quantile(found, kLow));
@@ -114,7 +114,7 @@ float level_of(const std::vector<Index>& rim, const Tensor& heights, const Tenso
 
 /// Whether little lies lower around a piece, as around water.
 bool lies_low(const Cells& cells, const std::vector<Index>& piece, float level,
-              const Tensor& heights, const Tensor& sigma, double step) {
+              const Tensor& heights, const Tensor& doubt, double step) {
   Index top = cells.height, bottom = 0, left = cells.width, right = 0;
   for (const Index i : piece) {
     const Index y = i / cells.width, x = i % cells.width;
@@ -127,7 +127,7 @@ bool lies_low(const Cells& cells, const std::vector<Index>& piece, float level,
     for (Index x = std::max<Index>(left - beside, 0); x < std::min(right + beside, cells.width);
          ++x) {
       const Index i = y * cells.width + x;
-      if (cells.state[static_cast<std::size_t>(i)] == State::piece || !(sigma[i] < kSure)) continue;
+      if (cells.state[static_cast<std::size_t>(i)] == State::piece || !(doubt[i] < kSure)) continue;
       ++sure, lower += heights[i] < level - kLower;
     }
   return static_cast<double>(lower) <= kMostLower * static_cast<double>(sure);
@@ -152,10 +152,10 @@ Piece piece_of(Cells& cells, Index cell) {
 }
 
 /// Gives a piece the cells around it that are not sure, and its rim.
-/// heights, sigma  of all cells
-void grow(Piece& piece, Cells& cells, const Tensor& heights, const Tensor& sigma, double step) {
+/// heights, doubt  of all cells
+void grow(Piece& piece, Cells& cells, const Tensor& heights, const Tensor& doubt, double step) {
   const auto known = [&](Index i) { return std::isfinite(heights[i]); };
-  const auto unsure = [&](Index i) { return known(i) && sigma[i] > kSure; };
+  const auto unsure = [&](Index i) { return known(i) && doubt[i] > kSure; };
   std::size_t first = 0;
   for (double way = step; way <= kGrowth; way += step) {
     const std::size_t end = piece.cells.size();
@@ -175,23 +175,24 @@ void grow(Piece& piece, Cells& cells, const Tensor& heights, const Tensor& sigma
 
 }  // namespace
 
-Index level_water(Tensor& heights, Tensor& sigma, const Tensor& confidence, double step) {
-  Cells cells = doubtful_cells(heights, sigma, confidence, step);
+Index level_water(Tensor& heights, Tensor& sigma, Tensor& doubt, const Tensor& confidence,
+                  double step) {
+  Cells cells = doubtful_cells(heights, doubt, confidence, step);
   const auto least = static_cast<std::size_t>(std::ceil(kLeastArea / (step * step)));
   Index levelled = 0;
   for (Index i = 0; i < heights.count(); ++i) {
     if (cells.state[static_cast<std::size_t>(i)] != State::doubtful) continue;
     Piece piece = piece_of(cells, i);
     if (piece.core < least) continue;
-    grow(piece, cells, heights, sigma, step);
-    const float level = level_of(piece.rim, heights, sigma, step);
+    grow(piece, cells, heights, doubt, step);
+    const float level = level_of(piece.rim, heights, doubt, step);
     if (!std::isfinite(level)) continue;
     std::vector<float> found;
     for (std::size_t k = 0; k < piece.core; ++k) found.push_back(heights[piece.cells[k]]);
     if (quantile(found, kLow) > level + kAbove ||
-        !lies_low(cells, piece.cells, level, heights, sigma, step))
+        !lies_low(cells, piece.cells, level, heights, doubt, step))
       continue;
-    for (const Index k : piece.cells) heights[k] = level, sigma[k] = kExpected;
+    for (const Index k : piece.cells) heights[k] = level, sigma[k] = doubt[k] = kExpected;
     levelled += std::ssize(piece.cells);
   }
   return levelled;

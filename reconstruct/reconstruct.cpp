@@ -273,14 +273,13 @@ nn::SurfaceInput input_of(const Gathered& all, const Reconstruction& made) {
 /// The surface as the network makes it, where two images or more show it. Its confidence is that of the
 /// surfels times the share of them that agree, 0 in the holes that the network filled: what it guessed
 /// there, and where fewer than two images show the densest mode, is kept if they show it lower, too.
-/// made  its images are whole
-FusedSurface refined(const nn::SurfaceModel& network, const Gathered& all,
-                     const Reconstruction& made, Tensor& sigma) {
+/// made  its images are whole; gets the expected errors and what became level
+FusedSurface refined(const ReconstructOptions& options, const Gathered& all, Reconstruction& made) {
   const nn::SurfaceInput input = input_of(all, made);
-  nn::RefinedSurface surface = nn::refined(network, input);
+  nn::RefinedSurface surface = nn::refined(*options.network, input);
   FusedSurface out{std::move(surface.heights), Tensor::uninitialised(surface.sigma.shape()), {}};
-  sigma = std::move(surface.sigma);
-  const Index P = sigma.count();
+  made.sigma = std::move(surface.sigma);
+  const Index P = made.sigma.count();
   const auto plane = [&](nn::SurfacePlane p) {
     return input.planes.data() + static_cast<Index>(p) * P;
   };
@@ -293,9 +292,11 @@ FusedSurface refined(const nn::SurfaceModel& network, const Gathered& all,
     out.confidence[i] = sure[i] * share[i];
     const bool guessed = views[i] < nn::kViewsOfTwo || !(out.confidence[i] > 0);
     if (guessed && !shown_by_two_if_lower(made.images, x, y, static_cast<double>(out.heights[i]),
-                                          static_cast<double>(sigma[i])))
-      out.heights[i] = out.confidence[i] = sigma[i] = std::nanf("");
+                                          static_cast<double>(surface.doubt[i])))
+      out.heights[i] = out.confidence[i] = made.sigma[i] = surface.doubt[i] = std::nanf("");
   }
+  if (options.level_water)
+    made.levelled = level_water(out.heights, made.sigma, surface.doubt, out.confidence, cells.step);
   return out;
 }
 
@@ -325,9 +326,7 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
   FusedSurface surface;
   switch (surface_kind(options)) {
     case Surface::refined:
-      surface = refined(*options.network, all, out, out.sigma);
-      if (options.level_water)
-        out.levelled = level_water(surface.heights, out.sigma, surface.confidence, all.cells.step);
+      surface = refined(options, all, out);
       break;
     case Surface::plain:
       surface = fuse_surfels(all.surfels.means.value(), all.confidence, all.evidence, all.grid);

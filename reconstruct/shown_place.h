@@ -25,10 +25,10 @@ inline bool shown_by_two(const std::vector<nn::PosedImage>& images, double x, do
 /// twice the expected error. The higher a place is taken to be, the further out images show it, so that
 /// a guess that is too high would put a tower beyond the ground that they show.
 /// x, y, z  local m
-/// sigma    expected error of z, m
+/// doubt    expected error of z as `nn::RefinedSurface` has it in `doubt`, m
 inline bool shown_by_two_if_lower(const std::vector<nn::PosedImage>& images, double x, double y,
-                                  double z, double sigma) {
-  return shown_by_two(images, x, y, z) && shown_by_two(images, x, y, z - 2 * sigma);
+                                  double z, double doubt) {
+  return shown_by_two(images, x, y, z) && shown_by_two(images, x, y, z - 2 * doubt);
 }
 
 /// Mean of the channels at the pixel of a place; NaN where there is none.

@@ -57,6 +57,24 @@ double mean_distance(const float* heights, const SurfaceLesson& lesson,
   return n > 0 ? sum / n : std::nan("");
 }
 
+/// What teaches heights, and the first network what errors to expect of them.
+Var height_loss(const SurfaceTrainConfig& config, const nn::SurfaceOutput<float>& out,
+                const Var& height, const SurfaceLesson& lesson, const Tensor& weight) {
+  const double unit = lesson.input.interval;
+  // The likelihood pulls a height the harder the surer the network is: the last centimetres of level
+  // ground would drown what is ten metres off. So it teaches the expected error alone.
+  Var total = laplace_loss(Var(height.value()), out.log_scale, lesson.truth, weight, unit);
+  if (config.distance_weight > 0)
+    total = total +
+            affine(laplace_loss(height, Var(Tensor(height.shape())), lesson.truth, weight, unit),
+                   static_cast<float>(config.distance_weight), 0.f);
+  if (config.choice_weight > 0)
+    total = total + affine(candidate_cross_entropy(out.logits, lesson.input.candidates,
+                                                   lesson.truth, weight, unit),
+                           static_cast<float>(config.choice_weight), 0.f);
+  return total;
+}
+
 /// Lessons by number.
 using LessonStream = Stream<KeptLesson>;
 
@@ -140,25 +158,21 @@ SurfaceLesson surface_lesson(const SurfaceTrainConfig& config,
 StepLoss surface_loss(const SurfaceTrainConfig& config, const nn::SurfaceModel& network,
                       const SurfaceLesson& lesson) {
   const double unit = lesson.input.interval;
-  const nn::SurfaceOutput<float> out = network(lesson.input);
   const Index P = lesson.truth.count();
   Tensor weight = lesson.weight.clone();
   const Tensor& candidates = lesson.input.candidates;
   const float* views = lesson.input.planes.data() + static_cast<Index>(nn::SurfacePlane::views) * P;
   for (Index i = 0; i < P; ++i)  // no more than what becomes a surface
     if (!nn::has_candidate(candidates, i) || views[i] < nn::kViewsOfTwo) weight[i] = 0;
+  const nn::SurfaceOutput<float> out = config.learn == Learn::sigma
+                                           ? nn::mean_of_looks(network, lesson.input)
+                                           : network(lesson.input);
   const Var height = chosen_height(out.logits, out.residual, candidates, nn::kSurfaceReach * unit);
-  // The likelihood pulls a height the harder the surer the network is: the last centimetres of level
-  // ground would drown what is ten metres off. So it teaches the expected error alone.
-  Var total = laplace_loss(Var(height.value()), out.log_scale, lesson.truth, weight, unit);
-  if (config.distance_weight > 0)
-    total = total +
-            affine(laplace_loss(height, Var(Tensor(height.shape())), lesson.truth, weight, unit),
-                   static_cast<float>(config.distance_weight), 0.f);
-  if (config.choice_weight > 0)
-    total =
-        total + affine(candidate_cross_entropy(out.logits, candidates, lesson.truth, weight, unit),
-                       static_cast<float>(config.choice_weight), 0.f);
+  const Var total =
+      config.learn == Learn::sigma
+          ? sigma_loss(height.value(), network.net().log_scale(lesson.input, out, height.value()),
+                       lesson.truth, weight, unit, nn::kSigmaOfScale, config.within_two)
+          : height_loss(config, out, height, lesson, weight);
   const auto candidate = [&](nn::SurfaceCandidate c) {
     return candidates.data() + static_cast<Index>(c) * P;
   };
@@ -202,6 +216,8 @@ nn::SurfaceModel train(const SurfaceTrainConfig& config, const fs::path& data, s
     throw ConfigError("train: task is " + enum_name(config.task) + ", expected surface");
   if (config.cascades.empty())
     throw ConfigError("train: no cascades, expected weights of at least one");
+  if (config.learn == Learn::sigma && config.surface.sigma_hidden == 0)
+    throw ConfigError("train: learn is sigma and surface.sigma_hidden is 0, expected 1 or more");
   check_crop_memory(config, 2);
   std::vector<nn::Model> cascades;
   for (const fs::path& file : config.cascades) cascades.push_back(nn::load_model(file));

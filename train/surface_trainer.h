@@ -16,6 +16,21 @@
 
 namespace satsurf::train {
 
+/// What of the surface network learns.
+enum class Learn {
+  surface,  ///< its heights, and what errors it expects of them
+  sigma     ///< the second network, that says better what errors to expect; the first one stays
+};
+
+}  // namespace satsurf::train
+
+template <>
+struct satsurf::EnumNames<satsurf::train::Learn> {
+  static constexpr std::array names{"surface", "sigma"};
+};
+
+namespace satsurf::train {
+
 /// Everything the training of the surface network depends on besides data and seed.
 struct SurfaceTrainConfig : TrainingSettings {
   nn::SurfaceConfig surface;
@@ -28,6 +43,8 @@ struct SurfaceTrainConfig : TrainingSettings {
   double range_jitter = 0.3;         ///< random widening of the height range, share of its span
   double distance_weight = 1;        ///< of the mean distance; that of the likelihood is 1
   double choice_weight = 0.3;        ///< of the cross-entropy of the candidates
+  Learn learn = Learn::surface;      ///< what does
+  double within_two = 2.24;          ///< Learn::sigma: `two` of `sigma_loss`
   scene::SimulateConfig simulate{};  ///< scenes made up on the way, where no data set is given
   Index scene_uses = 16;             ///< samples of each reconstruction
   Index scene_pool = 24;             ///< reconstructions to draw from at any time
@@ -62,6 +79,15 @@ struct SurfaceTrainConfig : TrainingSettings {
             .min = 0});
     v("choice_weight", s.choice_weight,
       Field{.help = "weight of the cross-entropy of the candidates", .min = 0});
+    v("learn", s.learn,
+      Field{.help = "surface: heights, and what errors to expect of them; sigma: the latter "
+                    "alone, of a network that is finished (surface.sigma_hidden)"});
+    v("within_two", s.within_two,
+      Field{.help =
+                "--learn sigma: gain of an error within twice the expected one, where one within "
+                "the expected one costs 1; 2.24 is right for normal errors",
+            .min = 1.01,
+            .max = 100});
     v("simulate", s.simulate, Field{.help = "scenes made up on the way, without --data"});
     v("scene_uses", s.scene_uses,
       Field{.help = "samples of each reconstruction, on average", .min = 1, .max = 10000});

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/scene/simulate/given.h"
 
+#include "satsurf/core/box_filters.h"
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/raster.h"
-#include "satsurf/scene/box_mean.h"
 #include "satsurf/scene/classes.h"
 #include "satsurf/scene/simulate/dress.h"
 #include "satsurf/scene/simulate/noise.h"

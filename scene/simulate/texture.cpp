@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/scene/simulate/texture.h"
 
+#include "satsurf/core/box_filters.h"
 #include "satsurf/core/parallel.h"
-#include "satsurf/scene/box_mean.h"
 
 #include <algorithm>
 #include <cmath>

@@ -155,13 +155,21 @@ TEST_CASE("a surface is what a network and its mirror image say together, a quar
 }
 
 TEST_CASE("surface network: gradients in double") {
-  BasicSurfaceModel<double> network({.base = 2}, 3);
+  BasicSurfaceModel<double> network({.base = 2, .sigma_hidden = 2}, 3);
   const SurfaceInput input = some_input(18, 21);
+  const auto height = [&](const SurfaceOutput<double>& out) {
+    return chosen_height(out.logits, out.residual, input.candidates.template cast<double>(), 1.0);
+  };
+  const SurfaceOutput<double> said =
+      network(input);  // what the second network is told, no matter by whom
+  const BasicTensor<double> heights = height(said).value();
+  const SurfaceOutput<double> known{BasicVar<double>(said.logits.value()),
+                                    BasicVar<double>(said.residual.value()),
+                                    BasicVar<double>(said.log_scale.value())};
   const auto objective = [&] {
     const auto out = network(input);
-    const auto h =
-        chosen_height(out.logits, out.residual, input.candidates.template cast<double>(), 1.0);
-    return mean(h * h) + mean(out.log_scale * out.log_scale);
+    const auto h = height(out), scale = network.net().log_scale(input, known, heights);
+    return mean(h * h) + mean(out.log_scale * out.log_scale) + mean(scale * scale);
   };
   // A bias of nothing beside nothing to look at stands on the kink of the ReLU.
   for (const auto& entry : network.parameters().entries())

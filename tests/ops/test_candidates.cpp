@@ -128,6 +128,64 @@ TEST_CASE("laplace_loss: gradient") {
   }
 }
 
+TEST_CASE("sigma_loss by hand") {
+  const auto h = BasicTensor<double>::from({1, 4}, {3, 3, 100, 5}),
+             s = BasicTensor<double>::from({1, 4}, {0, std::log(8.0), 0, 9}),
+             t = BasicTensor<double>::from({1, 4}, {1, 4, kNan, 5});
+  const auto loss = [&](const std::vector<double>& weight) {
+    return sigma_loss(h, BasicVar<double>(s), t, BasicTensor<double>::from({1, 4}, weight), 0.5,
+                      0.5, 2.25)
+        .value()
+        .item();
+  };
+  // as likely within s as not where the error is s
+  const auto within = [](double error_in_sigmas) {
+    return 1 / (1 + std::pow(error_in_sigmas, 1 / 0.15));
+  };
+  // errors of 4 and 2 units where sigma is 0.5 and 4
+  const double first = within(8) - 2.25 * within(4), second = within(0.5) - 2.25 * within(0.25);
+  CHECK(loss({1, 0, 0, 0}) == doctest::Approx(first));
+  CHECK(loss({0, 1, 0, 0}) == doctest::Approx(second));
+  CHECK(second == doctest::Approx(-1.25).epsilon(0.01));
+  CHECK(loss({1, 3, 0, 0}) == doctest::Approx((first + 3 * second) / 4));
+  CHECK(loss({0, 0, 0, 1}) == doctest::Approx(-1.25));  // no error
+  CHECK(loss({0, 0, 0, 0}) == 0);
+}
+
+TEST_CASE("sigma_loss is least at the standard deviation of normal errors") {
+  const Index n = 20000;
+  const BasicTensor<double> h = normal({1, n}, 3, 2), t({1, n});
+  const auto ones = BasicTensor<double>({1, n}, 1);
+  const auto loss = [&](double sigma) {
+    const BasicTensor<double> s({1, n}, std::log(sigma / 2.5 / 0.7));
+    return sigma_loss(h, BasicVar<double>(s), t, ones, 0.7, 2.5, std::exp(1.5) / 2).value().item();
+  };
+  double best = 0.5;
+  for (double s = 0.5; s < 8; s *= 1.01)
+    if (loss(s) < loss(best)) best = s;
+  CHECK(best == doctest::Approx(2).epsilon(0.05));
+}
+
+TEST_CASE("sigma_loss: gradient") {
+  const auto t = normal({6, 7}, 3, 3), h = normal({6, 7}, 1, 3);
+  BasicTensor<double> w = normal({6, 7}, 4);
+  for (double& v : w.values()) v = std::max(v, 0.0);
+  BasicTensor<double> s = normal({6, 7}, 2);
+  for (Index i = 0; i < s.count(); i += 5) s[i] = i % 2 == 0 ? 9 : -9;  // beyond the limits
+  const auto loss = [&](const BasicVar<double>& of) {
+    return sigma_loss(h, of, t, w, 0.7, 2.3, 2.24);
+  };
+  CHECK(gradcheck([&](const test::DoubleVars& v) { return loss(v[0]); }, {s}));
+  const BasicVar<double> log_scale(s, true);
+  loss(log_scale).backward();
+  for (Index i = 0; i < s.count(); ++i) {
+    CAPTURE(i);
+    CHECK((log_scale.grad()[i] != 0) == (i % 5 != 0 && w[i] > 0));
+  }
+  CHECK_THROWS_AS(sigma_loss(h, BasicVar<double>(normal({7, 6}, 1)), t, w, 0.7, 2.3, 2.24),
+                  ShapeError);
+}
+
 TEST_CASE("the losses of candidates give the same bits for any number of threads") {
   const Shape map{90, 70};
   Tensor weight = normal(map, 6).cast<float>(), z = normal({4, 90, 70}, 5).cast<float>();
@@ -139,11 +197,14 @@ TEST_CASE("the losses of candidates give the same bits for any number of threads
     const Var h(normal(map, 1).cast<float>(), true), s(normal(map, 2).cast<float>(), true),
         l(normal({4, 90, 70}, 3).cast<float>(), true);
     const Var likelihood = laplace_loss(h, s, truth, weight, 0.5),
-              entropy = candidate_cross_entropy(l, z, truth, weight, 0.5);
+              entropy = candidate_cross_entropy(l, z, truth, weight, 0.5),
+              sigma = sigma_loss(h.value(), s, truth, weight, 0.5, 1.148, 2.24);
     likelihood.backward();
     entropy.backward();
+    sigma.backward();
     set_threads(0);
-    return std::vector<Tensor>{likelihood.value(), entropy.value(), h.grad(), s.grad(), l.grad()};
+    return std::vector<Tensor>{likelihood.value(), entropy.value(), sigma.value(),
+                               h.grad(),           s.grad(),        l.grad()};
   };
   const auto one = run(1), two = run(2);
   CHECK(one[0].item() > 0);

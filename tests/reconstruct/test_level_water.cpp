@@ -35,7 +35,13 @@ struct Lake {
   static bool wet(Index i, double radius) {
     return std::hypot(x(i) - 0.5 * N * kStep, y(i) - 0.5 * N * kStep) < radius;
   }
-  Index level() { return reconstruct::level_water(heights, sigma, confidence, kStep); }
+  Index level() {
+    Tensor doubt = sigma.clone();
+    const Index cells = reconstruct::level_water(heights, sigma, doubt, confidence, kStep);
+    CHECK(std::equal(doubt.values().begin(), doubt.values().end(), sigma.values().begin(),
+                     [](float a, float b) { return a == b || (std::isnan(a) && std::isnan(b)); }));
+    return cells;
+  }
 };
 
 Index wet_cells(double radius) {
@@ -69,6 +75,17 @@ TEST_CASE("a lake gets the height of its shore, and a jetty keeps its own") {
     CHECK(lake.confidence[i] == before[i]);
   }
   CHECK(lake.level() == 0);  // nothing is in doubt any more
+}
+
+TEST_CASE("a lake is told by the doubt of the network that found it, not by the errors to expect") {
+  Lake lake(30), other(30);
+  Tensor doubt = lake.sigma.clone();
+  lake.sigma = Tensor(doubt.shape(), 0.7f);
+  CHECK(reconstruct::level_water(lake.heights, lake.sigma, doubt, lake.confidence, kStep) ==
+        wet_cells(30));
+  for (Index i = 0; i < N * N; ++i) CHECK(lake.sigma[i] == (Lake::wet(i, 30) ? 1.5f : 0.7f));
+  Tensor sure(doubt.shape(), 0.7f);
+  CHECK(reconstruct::level_water(other.heights, other.sigma, sure, other.confidence, kStep) == 0);
 }
 
 TEST_CASE("what is not sure beside a lake is levelled with it, some ten metres far") {

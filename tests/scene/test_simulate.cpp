@@ -2,7 +2,6 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/rpc/fit.h"
 #include "satsurf/rpc/raster.h"
-#include "satsurf/scene/box_mean.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/scene/dataset.h"
 #include "satsurf/scene/simulate/city.h"
@@ -304,22 +303,6 @@ TEST_CASE("noise") {
   for (Index k = 1; k < 90; ++k) step = std::max(step, std::abs(n[k] - n[k - 1]));
   CHECK(step < 0.5f);  // continuous
   CHECK(step > 0.02f);
-
-  const Index H = 9, W = 13, R = 2;
-  Rng rng(1);
-  const Tensor grid = normal_tensor<float>({H, W}, rng), mean = box_mean(grid, R);
-  for (Index i = 0; i < H; ++i) {
-    for (Index j = 0; j < W; ++j) {
-      double total = 0, count = 0;
-      for (Index y = std::max<Index>(0, i - R); y <= std::min(H - 1, i + R); ++y) {
-        for (Index x = std::max<Index>(0, j - R); x <= std::min(W - 1, j + R); ++x) {
-          total += static_cast<double>(grid[y * W + x]);
-          count += 1;
-        }
-      }
-      CHECK(mean[i * W + j] == doctest::Approx(total / count).epsilon(1e-4));
-    }
-  }
 }
 
 TEST_CASE("a block throws a shadow of its height over the tangent of the sun's elevation") {

@@ -3,6 +3,7 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/adamw.h"
 #include "satsurf/nn/weights_file.h"
+#include "satsurf/ops/candidates.h"
 #include "satsurf/train/mono_trainer.h"
 #include "satsurf/train/scene_stream.h"
 #include "satsurf/train/surface_trainer.h"
@@ -127,6 +128,78 @@ TEST_CASE("the surface network learns which candidate the images agree about") {
   const double after = surface_loss(config, network, lesson).terms[0].second;
   CHECK(before > 1);
   CHECK(after < 0.5);
+}
+
+TEST_CASE("the second network alone learns how large errors are") {
+  SurfaceTrainConfig config = tiny(1);
+  config.surface.sigma_hidden = 16;
+  const SurfaceLesson lesson = made_up(48);
+  nn::SurfaceModel network(config.surface, 2);
+  const auto learn = [&](Learn what, int steps, double rate, const auto& check) {
+    config.learn = what;
+    nn::AdamW optimiser(network.parameters(), {});
+    for (int step = 0; step < steps; ++step) {
+      network.parameters().clear_grads();
+      surface_loss(config, network, lesson).total.backward();
+      check();
+      optimiser.step(rate);
+    }
+  };
+  learn(Learn::surface, 60, 1e-2, [] {});
+  const nn::RefinedSurface before = nn::refined(network, lesson.input);
+  const double unit = lesson.input.interval;
+  const auto within = [&](const nn::RefinedSurface& made, float sigmas) {
+    double in = 0, known = 0;
+    for (Index i = 0; i < lesson.truth.count(); ++i) {
+      REQUIRE(made.heights[i] == before.heights[i]);
+      if (!(lesson.weight[i] > 0)) continue;
+      known += 1;
+      in += std::abs(made.heights[i] - lesson.truth[i]) <= sigmas * made.sigma[i] ? 1 : 0;
+    }
+    return in / known;
+  };
+  // As few as possible within one, as many as possible within two.
+  const auto gain = [&](const nn::RefinedSurface& made) {
+    return config.within_two * within(made, 2) - within(made, 1);
+  };
+  learn(Learn::sigma, 200, 3e-3, [&] {
+    for (const auto& e : network.parameters().entries())
+      REQUIRE(e.var.grad().empty() == !e.name.starts_with("sigma."));
+  });
+  const nn::RefinedSurface after = nn::refined(network, lesson.input);
+  MESSAGE("within one and two before: ", within(before, 1), " ", within(before, 2),
+          ", after: ", within(after, 1), " ", within(after, 2));
+  CHECK(gain(after) > gain(before) + 0.1);
+  CHECK(within(after, 2) > 0.85);
+  CHECK(within(after, 1) < 0.85);
+  const nn::SurfaceOutput<float> said = nn::mean_of_looks(network, lesson.input);
+  const Tensor heights =
+      chosen_height(said.logits, said.residual, lesson.input.candidates, nn::kSurfaceReach * unit)
+          .value();
+  CHECK(surface_loss(config, network, lesson).total.value().item() ==
+        sigma_loss(heights, network.net().log_scale(lesson.input, said, heights), lesson.truth,
+                   lesson.weight, unit, nn::kSigmaOfScale, config.within_two)
+            .value()
+            .item());
+}
+
+TEST_CASE("what is finished stays as it is while expected errors are learned") {
+  const TempFolder folder("surface-sigma");
+  SurfaceTrainConfig config = tiny(1);
+  config.learn = Learn::sigma;
+  CHECK(error_of<ConfigError>([&] { train_in_folder(config, {}, folder / "no", 4); }) ==
+        "train: learn is sigma and surface.sigma_hidden is 0, expected 1 or more");
+  const nn::SurfaceModel one({.base = 3}, 5), two({.base = 3, .sigma_hidden = 8}, 5);
+  const SurfaceLesson lesson = made_up(32);
+  const nn::RefinedSurface a = nn::refined(one, lesson.input), b = nn::refined(two, lesson.input);
+  Index other = 0;
+  for (Index i = 0; i < a.heights.count(); ++i) {
+    REQUIRE(a.heights[i] == b.heights[i]);
+    REQUIRE(a.sigma[i] == a.doubt[i]);
+    REQUIRE(a.doubt[i] == b.doubt[i]);
+    other += a.sigma[i] != b.sigma[i] ? 1 : 0;
+  }
+  CHECK(other > 1000);
 }
 
 TEST_CASE("cells that fewer than two images show teach nothing") {
