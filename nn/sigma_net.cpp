@@ -18,42 +18,6 @@ namespace {
 
 constexpr Index kGrain = 1 << 14;
 
-/// A map by another's cells.
-template <class Of>
-Tensor mapped(const Tensor& map, const Of& of) {
-  Tensor out = Tensor::uninitialised(map.shape());
-  for_range(map.count(), kGrain, [&](Index begin, Index end) {
-    for (Index i = begin; i < end; ++i) out[i] = of(i);
-  });
-  return out;
-}
-
-/// Where a map of a surface with holes is known: the mean of a square, its least and its largest value.
-class Squares {
- public:
-  Squares(const Tensor& known, Index radius)
-      : known_(known), radius_(radius), share_(box_mean(known, radius)) {}
-
-  Tensor mean(const Tensor& map) const {
-    const Tensor sums =
-        box_mean(mapped(map, [&](Index i) { return known_[i] > 0 ? map[i] : 0.f; }), radius_);
-    return mapped(map, [&](Index i) { return known_[i] > 0 ? sums[i] / share_[i] : 0.f; });
-  }
-  Tensor most(const Tensor& map) const { return extreme(map, 1); }
-  Tensor least(const Tensor& map) const { return extreme(map, -1); }
-
- private:
-  Tensor extreme(const Tensor& map, float sign) const {
-    const Tensor most = box_max(
-        mapped(map, [&](Index i) { return known_[i] > 0 ? sign * map[i] : -INFINITY; }), radius_);
-    return mapped(map, [&](Index i) { return known_[i] > 0 ? sign * most[i] : 0.f; });
-  }
-
-  const Tensor& known_;
-  Index radius_;
-  Tensor share_;
-};
-
 }  // namespace
 
 Tensor sigma_channels(const FoundSurface& found) {
@@ -64,36 +28,56 @@ Tensor sigma_channels(const FoundSurface& found) {
       .match("most", found.most, "H W")
       .match("spread", found.spread, "H W");
   const Index P = found.heights.count();
-  const Tensor known =
-      mapped(found.heights, [&](Index i) { return std::isfinite(found.heights[i]) ? 1.f : 0.f; });
+  const auto is_known = [&](Index i) { return std::isfinite(found.heights[i]); };
+  // A map with a number in the holes that changes no sum, or no largest value.
+  const auto filled = [&](float hole, const auto& of) {
+    Tensor map({dim["H"], dim["W"]}, hole);
+    for_range(P, kGrain, [&](Index begin, Index end) {
+      for (Index i = begin; i < end; ++i)
+        if (is_known(i)) map[i] = of(i);
+    });
+    return map;
+  };
+  const auto same = [](const Tensor& map) { return [z = map.data()](Index i) { return z[i]; }; };
+  const auto negative = [](const Tensor& map) {
+    return [z = map.data()](Index i) { return -z[i]; };
+  };
+  // Agreement to a fiftieth of an interval is agreement.
+  const auto log_spread = [&](Index i) { return std::log(found.spread[i] + 0.02f); };
+  const Tensor known = filled(0, [](Index) { return 1.f; }),
+               scale = filled(0, same(found.log_scale)), sure = filled(0, same(found.sure)),
+               spread = filled(0, log_spread), height = filled(0, same(found.heights));
+  const Tensor up = filled(-INFINITY, same(found.heights)),
+               down = filled(-INFINITY, negative(found.heights)),
+               unsure = filled(-INFINITY, same(found.log_scale)),
+               surest = filled(-INFINITY, negative(found.log_scale));
   Tensor out({1, kSigmaChannels, dim["H"], dim["W"]});
   Index channel = 0;
   const auto add = [&](const auto& of) {
     float* to = out.data() + channel++ * P;
     for_range(P, kGrain, [&](Index begin, Index end) {
       for (Index i = begin; i < end; ++i)
-        if (known[i] > 0) to[i] = of(i);
+        if (is_known(i)) to[i] = of(i);
     });
   };
-  const auto add_map = [&](const Tensor& map) { add([&](Index i) { return map[i]; }); };
-  const auto add_rise = [&](const Tensor& from, const Tensor& to) {
+  const auto add_rise = [&](const auto& from, const auto& to) {
     add([&](Index i) {
       return static_cast<float>(
-          squeezed(static_cast<double>(to[i]) - static_cast<double>(from[i])));
+          squeezed(static_cast<double>(to(i)) - static_cast<double>(from(i))));
     });
   };
-  // Agreement to a fiftieth of an interval is agreement.
-  const Tensor spread =
-      mapped(found.spread, [&](Index i) { return std::log(found.spread[i] + 0.02f); });
-  for (const Tensor* map : {&found.log_scale, &found.sure, &spread, &found.most}) add_map(*map);
+  for (const Tensor* map : {&scale, &sure, &spread, &found.most}) add(same(*map));
   for (const Index radius : kSigmaRadii) {
-    const Squares around(known, radius);
-    for (const Tensor* map : {&found.log_scale, &found.sure, &spread}) add_map(around.mean(*map));
-    add_map(around.most(found.log_scale));
-    add_map(around.least(found.log_scale));
-    add_rise(found.heights, around.most(found.heights));
-    add_rise(around.least(found.heights), found.heights);
-    add_rise(around.mean(found.heights), found.heights);
+    const Tensor share = box_mean(known, radius);
+    const auto mean = [&](const Tensor& sums) {
+      return [z = sums.data(), n = share.data()](Index i) { return z[i] / n[i]; };
+    };
+    for (const Tensor* map : {&scale, &sure, &spread}) add(mean(box_mean(*map, radius)));
+    add(same(box_max(unsure, radius)));
+    add(negative(box_max(surest, radius)));
+    add_rise(same(height), same(box_max(up, radius)));
+    add_rise(negative(box_max(down, radius)), same(height));
+    add_rise(mean(box_mean(height, radius)), same(height));
   }
   return out;
 }

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/dims.h"
 #include "satsurf/core/parallel.h"
+#include "satsurf/nn/squeezed.h"
 #include "satsurf/reconstruct/cell_mode.h"
 #include "satsurf/reconstruct/cell_surfels.h"
 #include "satsurf/reconstruct/horizon.h"
@@ -243,7 +244,7 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
       put(SurfacePlane::second_share, cell, s.second_share);
       put(SurfacePlane::weight, cell, 0.5 * std::log1p(s.weight / area));
       put(SurfacePlane::confidence, cell, s.confidence);
-      put(SurfacePlane::spread, cell, 0.5 * std::asinh(s.spread / grid.interval));
+      put(SurfacePlane::spread, cell, nn::squeezed(s.spread / grid.interval));
       put(SurfacePlane::cell, cell, std::log(grid.step / grid.footprint));
     }
   });
