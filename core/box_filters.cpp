@@ -4,6 +4,7 @@
 #include "satsurf/core/parallel.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <vector>
@@ -25,23 +26,39 @@ void slide_max(std::vector<float>& values, Index n, Index length, Index lanes) {
   if (reach < length) join(n, length - reach);
 }
 
+/// Rows whose sums go on side by side: one alone waits for each addition.
+constexpr Index kTogether = 4;
+
+/// Means of 2 radius + 1 neighbours, cut off at the ends.
+/// from, to  [R W]
+template <Index R>
+void mean_along(const float* from, Index W, Index radius, float* to) {
+  std::array<double, R> sum{};
+  Index count = std::min(radius, W);
+  const auto add = [&](Index j, double sign) {
+    for (Index r = 0; r < R; ++r)
+      sum[static_cast<std::size_t>(r)] += sign * static_cast<double>(from[r * W + j]);
+  };
+  for (Index j = 0; j < count; ++j) add(j, 1.0);
+  for (Index j = 0; j < W; ++j) {
+    if (j + radius < W) add(j + radius, 1.0), ++count;
+    if (j > radius) add(j - radius - 1, -1.0), --count;
+    for (Index r = 0; r < R; ++r)
+      to[r * W + j] =
+          static_cast<float>(sum[static_cast<std::size_t>(r)] / static_cast<double>(count));
+  }
+}
+
 }  // namespace
 
 Tensor box_mean(const Tensor& grid, Index radius) {
   const Index H = grid.dim(0), W = grid.dim(1);
   auto rows = Tensor::uninitialised({H, W}), out = Tensor::uninitialised({H, W});
   for_range(H, 32, [&](Index begin, Index end) {
-    for (Index i = begin; i < end; ++i) {
-      const float* g = grid.data() + i * W;
-      double sum = 0;
-      Index count = std::min(radius, W);
-      for (Index j = 0; j < count; ++j) sum += static_cast<double>(g[j]);
-      for (Index j = 0; j < W; ++j) {
-        if (j + radius < W) sum += static_cast<double>(g[j + radius]), ++count;
-        if (j > radius) sum -= static_cast<double>(g[j - radius - 1]), --count;
-        rows[i * W + j] = static_cast<float>(sum / static_cast<double>(count));
-      }
-    }
+    Index i = begin;
+    for (; i + kTogether <= end; i += kTogether)
+      mean_along<kTogether>(grid.data() + i * W, W, radius, rows.data() + i * W);
+    for (; i < end; ++i) mean_along<1>(grid.data() + i * W, W, radius, rows.data() + i * W);
   });
   for_range(W, 128, [&](Index begin, Index end) {
     std::vector<double> sum(static_cast<std::size_t>(end - begin), 0.0);

@@ -128,25 +128,25 @@ BasicTensor<T> SurfaceNet<T>::channels(const SurfaceInput& input) {
   const Index h = up(H), w = up(W), p = h * w, K = kSurfaceCandidates;
   constexpr double kGroundUnit = 3;  // m
   BasicTensor<T> out({1, kChannels, h, w});
-  const float* z = input.candidates.data();
-  const auto of = [](SurfaceCandidate c) { return static_cast<Index>(c); };
+  const auto above = [](const float* height, const float* base, double unit, Index n, T* to) {
+    for (Index j = 0; j < n; ++j)
+      if (std::isfinite(height[j]) && std::isfinite(base[j]))
+        to[j] = static_cast<T>(
+            squeezed((static_cast<double>(height[j]) - static_cast<double>(base[j])) / unit));
+  };
   for_each_index(H, [&](Index i) {
-    for (Index j = 0; j < W; ++j) {
-      const Index from = i * W + j, to = i * w + j;
-      const auto ground = static_cast<double>(z[of(SurfaceCandidate::ground) * P + from]),
-                 mode = static_cast<double>(z[of(SurfaceCandidate::mode) * P + from]);
-      for (Index k = 0; k < K; ++k) {
-        const auto height = static_cast<double>(z[k * P + from]);
-        if (!std::isfinite(height)) continue;
-        if (std::isfinite(ground))
-          out[k * p + to] = static_cast<T>(squeezed((height - ground) / kGroundUnit));
-        if (std::isfinite(mode))
-          out[(K + k) * p + to] = static_cast<T>(squeezed((height - mode) / input.interval));
-      }
-      for (Index c = 0; c < kSurfacePlanes; ++c)
-        out[(2 * K + c) * p + to] = static_cast<T>(input.planes[c * P + from]);
-      out[(kChannels - 1) * p + to] = std::isfinite(mode) ? T{1} : T{0};
+    const auto candidate = [&](Index k) { return input.candidates.data() + k * P + i * W; };
+    const auto channel = [&](Index c) { return out.data() + c * p + i * w; };
+    const float *ground = candidate(static_cast<Index>(SurfaceCandidate::ground)),
+                *mode = candidate(static_cast<Index>(SurfaceCandidate::mode));
+    for (Index k = 0; k < K; ++k) {
+      above(candidate(k), ground, kGroundUnit, W, channel(k));
+      above(candidate(k), mode, input.interval, W, channel(K + k));
     }
+    for (Index c = 0; c < kSurfacePlanes; ++c)
+      std::copy_n(input.planes.data() + c * P + i * W, W, channel(2 * K + c));
+    std::transform(mode, mode + W, channel(kChannels - 1),
+                   [](float z) { return std::isfinite(z) ? T{1} : T{0}; });
   });
   return out;
 }
