@@ -128,8 +128,9 @@ BasicTensor<T> SurfaceNet<T>::channels(const SurfaceInput& input) {
   const Index h = up(H), w = up(W), p = h * w, K = kSurfaceCandidates;
   constexpr double kGroundUnit = 3;  // m
   BasicTensor<T> out({1, kChannels, h, w});
-  const auto above = [](const float* height, const float* base, double unit, Index n, T* to) {
-    for (Index j = 0; j < n; ++j)
+  // How far the heights of a row are above others, in units; nothing where either is unknown.
+  const auto put_above = [&](const float* height, const float* base, double unit, T* to) {
+    for (Index j = 0; j < W; ++j)
       if (std::isfinite(height[j]) && std::isfinite(base[j]))
         to[j] = static_cast<T>(
             squeezed((static_cast<double>(height[j]) - static_cast<double>(base[j])) / unit));
@@ -140,8 +141,8 @@ BasicTensor<T> SurfaceNet<T>::channels(const SurfaceInput& input) {
     const float *ground = candidate(static_cast<Index>(SurfaceCandidate::ground)),
                 *mode = candidate(static_cast<Index>(SurfaceCandidate::mode));
     for (Index k = 0; k < K; ++k) {
-      above(candidate(k), ground, kGroundUnit, W, channel(k));
-      above(candidate(k), mode, input.interval, W, channel(K + k));
+      put_above(candidate(k), ground, kGroundUnit, channel(k));
+      put_above(candidate(k), mode, input.interval, channel(K + k));
     }
     for (Index c = 0; c < kSurfacePlanes; ++c)
       std::copy_n(input.planes.data() + c * P + i * W, W, channel(2 * K + c));
