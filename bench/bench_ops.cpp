@@ -160,7 +160,7 @@ void add_softmax_rows() {
 /// Two source views with some parallax, as the model sees them at each stage. Ten operations per
 /// source, channel and hypothesis: four weighted neighbours, sum and sum of squares; backward
 /// samples again and scatters.
-OpCase plane_sweep_case(const benchmark::State& s) {
+OpCase sweep_case(const benchmark::State& s, const SweepOptions& options) {
   const Index C = s.range(0), D = s.range(1), side = s.range(2);
   const double half = number(side) / 2;
   std::vector<Quadratic> transfer(3);
@@ -175,10 +175,15 @@ OpCase plane_sweep_case(const benchmark::State& s) {
   const double P = number(side * side), maps_read = 3 * number(C) * P, d = number(D),
                volume = number(C) * d * P, flop = 2 * 10 * volume;
   return {{normal({3, C, side, side})},
-          [=](const Vars& v) { return plane_sweep_variance(v[0], 0, transfer, heights, Tensor{}); },
+          [=](const Vars& v) {
+            return plane_sweep_variance(v[0], 0, transfer, heights, Tensor{}, options);
+          },
           {flop, bytes_of(maps_read + d * P + volume)},
           {3 * flop, bytes_of(3 * maps_read + 2 * d * P + 2 * volume)}};
 }
+
+OpCase plane_sweep_case(const benchmark::State& s) { return sweep_case(s, {}); }
+OpCase paired_sweep_case(const benchmark::State& s) { return sweep_case(s, {.best_pair = true}); }
 
 /// Arguments: rows, inner extent, columns of the product with a transposed weight matrix.
 OpCase matmul_case(const benchmark::State& s) {
@@ -228,6 +233,8 @@ void add_op_rows() {
   add_softmax_rows();
   add_op("plane_sweep_variance", volume_names,
          {{32, 64, 64}, {32, 48, 64}, {16, 32, 128}, {8, 8, 256}}, plane_sweep_case);
+  add_op("plane_sweep_pairs", volume_names,
+         {{32, 64, 64}, {16, 32, 128}, {8, 8, 256}, {8, 8, 1024}}, paired_sweep_case);
   add_op("attention", {"heads", "tokens", "width"}, {{6, 1370, 64}}, attention_case);
   add_op("matmul", {"M", "K", "N"},
          {{1369, 384, 1536}, {1369, 1536, 384}, {1370, 384, 1152}, {16384, 64, 64}}, matmul_case);

@@ -15,6 +15,17 @@ std::array<double, 2> Quadratic::operator()(double x, double y, double z) const 
   return out;
 }
 
+QuadraticLine Quadratic::along_z(double x, double y) const {
+  const double a = (x - offset[0]) / scale[0], b = (y - offset[1]) / scale[1];
+  QuadraticLine out{offset[2], scale[2], {}};
+  for (std::size_t k = 0; k < 2; ++k) {
+    const auto& q = coeff[k];
+    out.coeff[k] = {q[0] + a * (q[1] + q[4] * a + q[5] * b) + b * (q[2] + q[7] * b),
+                    q[3] + a * q[6] + b * q[8], q[9]};
+  }
+  return out;
+}
+
 std::array<std::array<double, 3>, 2> Quadratic::jacobian(double x, double y, double z) const {
   const double a = (x - offset[0]) / scale[0], b = (y - offset[1]) / scale[1],
                c = (z - offset[2]) / scale[2];

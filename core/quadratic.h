@@ -7,6 +7,18 @@
 
 namespace satsurf {
 
+/// Two quadratics in one coordinate.
+struct QuadraticLine {
+  double offset = 0, scale = 1;                  ///< of the coordinate
+  std::array<std::array<double, 3>, 2> coeff{};  ///< of 1, q and qq with q = (z - offset) / scale
+
+  std::array<double, 2> operator()(double z) const {
+    const double c = (z - offset) / scale;
+    return {coeff[0][0] + c * (coeff[0][1] + c * coeff[0][2]),
+            coeff[1][0] + c * (coeff[1][1] + c * coeff[1][2])};
+  }
+};
+
 /// A map from three coordinates to two by one full quadratic each, in normalised inputs: the local
 /// stand-in for an RPC camera inside the kernels (fitted in rpc/fit.h, stored in double, evaluated
 /// in float or double).
@@ -21,6 +33,8 @@ struct Quadratic {
 
   /// The outputs at one point.
   std::array<double, 2> operator()(double x, double y, double z) const;
+  /// The outputs along z where x and y stay as they are; equal but for rounding.
+  QuadraticLine along_z(double x, double y) const;
   /// Derivatives at one point, [out][in], in units of output per unit of input.
   std::array<std::array<double, 3>, 2> jacobian(double x, double y, double z) const;
 };

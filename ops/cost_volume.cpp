@@ -74,7 +74,8 @@ class RowWork {
       if (!sweep.valid.empty()) valid_.push_back(sweep.valid.data() + j * P);
     }
     scratch_ = BasicTensor<T>({2 * kSweepTile + sweep.J(), Cs});
-    pair_scratch_ = BasicTensor<T>({kSweepTile * kPairStride + kDistanceLanes * (sweep.J() + 1)});
+    pair_scratch_ = BasicTensor<T>(
+        {kSweepTile * kPairStride + (kDistanceLanes + kSweepTile * kDistanceParts) * sweep.J()});
     T *tile = scratch_.data(), *pairs = pair_scratch_.data();
     s_ = {sweep.H,
           sweep.W,
@@ -96,7 +97,8 @@ class RowWork {
           tile + kSweepTile * Cs,
           tile + 2 * kSweepTile * Cs,
           pairs,
-          pairs + kSweepTile * kPairStride};
+          pairs + kSweepTile * kPairStride,
+          pairs + kSweepTile * kPairStride + kDistanceLanes * sweep.J()};
   }
   const SweepRow<T>& at_row(Index y) {
     for (std::size_t j = 0; j < maps_.size(); ++j) maps_[j] = restrict_to_row(sweep_.maps[j], y);

@@ -155,10 +155,13 @@ struct Sampler {
   const Index J = kJ > 0 ? kJ : s.J;
   const Index right = s.W > 1 ? s.Cs : 0, down = s.H > 1 ? s.W *s.Cs : 0;
 
-  T share(Index i) const {  // 1 / n, or 0 where the variance is 0 by definition
-    T n = s.reference_counts;
-    for (Index j = 0; j < J; ++j) n += s.taps[j].counts[i];
-    return n >= 2 ? 1 / n : T(0);
+  /// Of each of `count` pixels 1 / n, or 0 where the variance is 0 by definition.
+  void shares(Index count, T* out) const {
+    for (Index i = 0; i < count; ++i) {
+      T n = s.reference_counts;
+      for (Index j = 0; j < J; ++j) n += s.taps[j].counts[i];
+      out[i] = n >= 2 ? 1 / n : T(0);
+    }
   }
   Index offset(Index j, Index i) const { return (s.taps[j].y[i] * s.W + s.taps[j].x[i]) * s.Cs; }
   V mean(Index i, Index c, const V& own, T share_of, V* f) const {
@@ -189,49 +192,62 @@ Channels<T, 4> quarters(const T* sums) {
   return total;
 }
 
-/// The best pair's channels of pixel i at hypothesis d. Which source is the best changes from pixel
-/// to pixel as noise does, so nothing here branches on it.
-/// distances  [J kSums<L>] to all sources, and room for one more; overwritten
-/// unit       what a distance counts
-template <class T, Index L>
-void choose_pair(const SweepRow<T>& s, Index J, T unit, T* distances, Index i, std::int8_t& best) {
-  using Quad = Channels<T, 4>;
-  Index chosen = J;  // the row of zeros behind the sources
-  T least = 0, counted = 0;
-  for (Index j = 0; j < J; ++j) {
-    const Quad d = quarters<L>(distances + kSums<L> * j);
-    store(distances + 4 * j, d);
-    const T counts = s.taps[j].counts[i], total = (d[0] + d[1]) + (d[2] + d[3]);
-    counted += counts;
-    const bool better = static_cast<int>(counts != 0) &
-                        (static_cast<int>(chosen == J) | static_cast<int>(total < least));
-    least = better ? total : least;
-    chosen = better ? j : chosen;
+/// The best pair's channels of n pixels from column `begin` on at hypothesis d, from the pixels'
+/// distances in `s.distances`, to planes at `out`. Which source is the best changes from pixel to
+/// pixel as noise does, so nothing here branches on it.
+template <class T>
+void choose_pairs(const SweepRow<T>& s, Index begin, Index n, Index d, T* out) {
+  constexpr Index kPart = kDistanceParts;
+  static_assert(kPart + 1 == kPairChannels);
+  // of the best source so far; 0 before there is one
+  T distance[kPart][kSweepTile] = {}, least[kSweepTile] = {}, counted[kSweepTile] = {};
+  std::int32_t best[kSweepTile];
+  for (std::int32_t& b : best) b = -1;
+  for (Index j = 0; j < s.J; ++j) {
+    T planes[kPart][kSweepTile];
+    scatter_pixels<false>(s.distances + j * kSweepTile * kPart, n, kPart, kPart, planes[0],
+                          kSweepTile);
+    const T* counts = s.taps[j].counts;
+    for (Index i = 0; i < n; ++i) {
+      const T total = (planes[0][i] + planes[1][i]) + (planes[2][i] + planes[3][i]);
+      const bool better = static_cast<int>(counts[i] != 0) &
+                          (static_cast<int>(best[i] < 0) | static_cast<int>(total < least[i]));
+      least[i] = better ? total : least[i];
+      best[i] = better ? static_cast<std::int32_t>(j) : best[i];
+      for (Index k = 0; k < kPart; ++k) distance[k][i] = better ? planes[k][i] : distance[k][i];
+      counted[i] += counts[i];
+    }
   }
-  fill_zero(distances + 4 * J, 4);
-  best = static_cast<std::int8_t>(chosen == J ? -1 : chosen);
-  T* to = s.pair_tile + i * kPairStride;
-  store<Quad>(to, load<Quad>(distances + 4 * chosen) * unit);
-  to[4] = counted / static_cast<T>(J > 0 ? J : 1);  // 0 of 0 sources are none
+  const Index step = s.D * s.plane;
+  const T unit = T(4) / static_cast<T>(s.C), all = static_cast<T>(s.J > 0 ? s.J : 1);
+  for (Index k = 0; k < kPart; ++k)
+    for (Index i = 0; i < n; ++i) out[k * step + i] = distance[k][i] * unit;
+  for (Index i = 0; i < n; ++i) out[kPart * step + i] = counted[i] / all;  // 0 of 0 are none
+  std::int8_t* kept = s.best + d * s.H * s.W + begin;
+  for (Index i = 0; i < n; ++i) kept[i] = static_cast<std::int8_t>(best[i]);
 }
 
+/// Variances of n pixels to `s.tile` and, for pairs, distances to all sources to `s.distances`.
 template <class T, Index L, Index kJ, bool kPairs>
-void forward_tile(const SweepRow<T>& s, Index begin, Index n, Index d) {
+void forward_tile(const SweepRow<T>& s, Index begin, Index n) {
   using V = Channels<T, L>;
+  constexpr Index kParts = kSums<L> / L;
   const Sampler<T, L, kJ> sampler{s};
+  T shares[kSweepTile];
+  sampler.shares(n, shares);
   V local[kJ > 0 ? kJ : 1];
   V* f = kJ > 0 ? local : reinterpret_cast<V*>(s.samples);
-  T local_distances[(kJ + 1) * kSums<L>];
-  T* distances = kJ > 0 ? local_distances : s.distances;
-  const T unit = T(4) / static_cast<T>(s.C);
+  V local_sums[(kJ > 0 ? kJ : 1) * kParts];
+  V* sums = kJ > 0 ? local_sums : reinterpret_cast<V*>(s.sums);
   for (Index i = 0; i < n; ++i) {
     T* to = s.tile + i * s.Cs;
-    const T share = sampler.share(i);
-    if constexpr (kPairs) fill_zero(distances, kSums<L> * sampler.J);
+    const T share = shares[i];
     if (share == 0 && !kPairs) {
       fill_zero(to, s.Cs);
       continue;
     }
+    if constexpr (kPairs)
+      for (Index k = 0; k < sampler.J * kParts; ++k) sums[k] = V{};
     for (Index c = 0; c < s.Cs; c += L) {
       const V own = load<V>(s.reference + (begin + i) * s.Cs + c);
       const V mean = sampler.mean(i, c, own, share, f);
@@ -241,10 +257,13 @@ void forward_tile(const SweepRow<T>& s, Index begin, Index n, Index d) {
       store<V>(to + c, total * share);
       if constexpr (kPairs)
         for (Index j = 0; j < sampler.J; ++j)
-          add_to<V>(distances + kSums<L> * j + (L < 4 ? c % 4 : 0), (own - f[j]) * (own - f[j]));
+          sums[j * kParts + c / L % kParts] += (own - f[j]) * (own - f[j]);
     }
     if constexpr (kPairs)
-      choose_pair<T, L>(s, sampler.J, unit, distances, i, s.best[d * s.H * s.W + begin + i]);
+      for (Index j = 0; j < sampler.J; ++j) {
+        const auto* of_source = reinterpret_cast<const T*>(sums + j * kParts);
+        store(s.distances + (j * kSweepTile + i) * kDistanceParts, quarters<L>(of_source));
+      }
   }
 }
 
@@ -257,8 +276,10 @@ void backward_tile(const SweepRow<T>& s, Index begin, Index n, Index d, T* const
   const Index right = sampler.right, down = sampler.down;
   V local[kJ > 0 ? kJ : 1];
   V* f = kJ > 0 ? local : reinterpret_cast<V*>(s.samples);
+  T shares[kSweepTile];
+  sampler.shares(n, shares);
   for (Index i = 0; i < n; ++i) {
-    const T share = sampler.share(i);
+    const T share = shares[i];
     const Index best = kPairs ? s.best[d * s.H * s.W + begin + i] : -1;
     if (share == 0 && best < 0) continue;
     for (Index c = 0; c < s.Cs; c += L) {
@@ -359,12 +380,10 @@ void forward(const SweepRow<T>& s, T* out, std::int32_t* touched) {
       make_all_taps(s, begin, n, d);
       if (touched != nullptr) add_touched(s, n, touched);
       with_shape(s, [&]<Index L, Index kJ, bool kPairs>() {
-        forward_tile<T, L, kJ, kPairs>(s, begin, n, d);
+        forward_tile<T, L, kJ, kPairs>(s, begin, n);
       });
       scatter_pixels<false>(s.tile, n, s.C, s.Cs, out + d * P + begin, s.D * P);
-      if (s.best != nullptr)
-        scatter_pixels<false>(s.pair_tile, n, kPairChannels, kPairStride,
-                              out + (s.C * s.D + d) * P + begin, s.D * P);
+      if (s.best != nullptr) choose_pairs(s, begin, n, d, out + (s.C * s.D + d) * P + begin);
     }
   }
   if (touched != nullptr) end_touched(s, touched);

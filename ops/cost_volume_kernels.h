@@ -38,10 +38,11 @@ struct SweepTaps {
   T weight[4][kSweepTile], counts[kSweepTile];
 };
 
-/// Pixels of the best pair's channels in a tile; the last are not used.
+/// Numbers between the pixels' channels of the best pair in a tile; the last are not used.
 inline constexpr Index kPairStride = 8;
-/// Numbers in which the distance to one source is summed, at most: the channels read together.
-inline constexpr Index kDistanceLanes = 16;
+/// Numbers in which the distance of a pixel to one source is summed, at most: the channels read
+/// together; and in how many parts it is handed on.
+inline constexpr Index kDistanceLanes = 16, kDistanceParts = 4;
 
 /// One reference row: what is read, and scratch.
 template <class T>
@@ -63,8 +64,9 @@ struct SweepRow {
   T* tile;               ///< [kSweepTile Cs]
   T* reference_tile;     ///< [kSweepTile Cs], backward only
   T* samples;            ///< [J Cs]
-  T* pair_tile;          ///< [kSweepTile kPairStride]
-  T* distances;          ///< [J + 1 kDistanceLanes] of one pixel
+  T* pair_tile;          ///< [kSweepTile kPairStride], backward only
+  T* sums;               ///< [J kDistanceLanes] of one pixel, forward only
+  T* distances;          ///< [J kSweepTile kDistanceParts], forward only
 };
 
 /// The loops of cost_volume.cpp for one instruction set.

@@ -131,9 +131,13 @@ class Appearance {
   }
   std::size_t count() const { return local_.size(); }
 
-  /// Image i at a local point; whether it shows it.
-  bool look(std::size_t i, double x, double y, double z, bool colours, Look& out) const {
-    const auto [u, v] = images_[i].pixel_from_local(x, y, z);
+  /// Where image i shows the points above a local place.
+  QuadraticLine line(std::size_t i, double x, double y) const {
+    return images_[i].pixel_from_local.along_z(x, y);
+  }
+
+  /// Image i at pixel (u, v); whether it shows something there.
+  bool look(std::size_t i, double u, double v, bool colours, Look& out) const {
     const Tensor& valid = images_[i].valid;
     const Index H = valid.dim(0), W = valid.dim(1), P = H * W;
     if (W < 2 || H < 2) return false;
@@ -263,19 +267,22 @@ nn::SurfaceInput surface_input(const Tensor& means, const Tensor& confidence,
   const std::vector<Tensor> horizons = horizons_of(out.candidates, grid, images);
   for_each_index(H, [&](Index i) {
     std::array<Look, kMostImages> looks{}, seen{};
+    std::vector<QuadraticLine> lines(appearance.count());
     const double y = grid.north - (static_cast<double>(i) + 0.5) * grid.step;
     for (Index j = 0; j < W; ++j) {
       const double x = grid.east + (static_cast<double>(j) + 0.5) * grid.step;
       const Index cell = i * W + j;
       const bool known = std::isfinite(candidate[at(SurfaceCandidate::mode) * P + cell]);
       const Index shown = at(known ? SurfaceCandidate::mode : SurfaceCandidate::around);
+      for (std::size_t v = 0; v < lines.size(); ++v) lines[v] = appearance.line(v, x, y);
       for (Index k = 0; k < kSurfaceCandidates; ++k) {
         const auto z = static_cast<double>(candidate[k * P + cell]);
         std::size_t n = 0, open = 0;
         double bright = 0;
         if (std::isfinite(z))
           for (std::size_t v = 0; v < appearance.count() && n < kMostImages; ++v) {
-            if (!appearance.look(v, x, y, z, k == shown, looks[n])) continue;
+            const auto [column, row] = lines[v](z);
+            if (!appearance.look(v, column, row, k == shown, looks[n])) continue;
             // as much higher as one pixel of parallax may well be the cell's own surface
             if (z > static_cast<double>(horizons[v][cell]) - grid.interval) {
               bright += looks[n].local;

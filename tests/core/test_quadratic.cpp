@@ -41,6 +41,14 @@ TEST_CASE("quadratic: values are the sum of the monomials") {
   }
 }
 
+TEST_CASE("quadratic: a line along z has the map's values") {
+  const Quadratic q = sample(3);
+  const QuadraticLine line = q.along_z(13.5, -71.25);
+  for (const double z : {-300.0, 0.0, 8.75, 120.5})
+    for (std::size_t k = 0; k < 2; ++k)
+      CHECK(line(z)[k] == doctest::Approx(by_hand(q, k, 13.5, -71.25, z)).epsilon(1e-12));
+}
+
 TEST_CASE("quadratic: the jacobian is that of differences") {
   const Quadratic q = sample(9);
   const std::array<double, 3> p{13.5, -71.25, 8.75};

@@ -375,8 +375,8 @@ Swept<T> sweep(const SweepKernels<T>& kernels, const Scene& s, bool include, boo
   };
   BasicTensor<T> pixels = scratch(N * P * Cs), tile = scratch(kSweepTile * Cs),
                  reference_tile = scratch(kSweepTile * Cs), samples = scratch(J * Cs),
-                 pair_tile = scratch(kSweepTile * kPairStride),
-                 distances = scratch((J + 1) * kDistanceLanes);
+                 pair_tile = scratch(kSweepTile * kPairStride), sums = scratch(J * kDistanceLanes),
+                 distances = scratch(J * kSweepTile * kDistanceParts);
   for (Index r = 0; r < N * H; ++r)
     kernels.to_pixels(features.data() + (r / H * C * H + r % H) * W, P, W, C, Cs,
                       pixels.data() + r * W * Cs);
@@ -413,6 +413,7 @@ Swept<T> sweep(const SweepKernels<T>& kernels, const Scene& s, bool include, boo
                   .reference_tile = reference_tile.data(),
                   .samples = samples.data(),
                   .pair_tile = pair_tile.data(),
+                  .sums = sums.data(),
                   .distances = distances.data()};
   const auto at_row = [&](Index y) {
     for (std::size_t j = 0; j < count; ++j) {
