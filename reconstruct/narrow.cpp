@@ -191,6 +191,7 @@ class Rest {
 
 constexpr std::size_t kFewest = 200;  // heights that agree
 constexpr double kOnlyChance = 0.2;   // of a range, at least, holds no surface
+constexpr double kWorth = 0.85;       // a range is cut where no more of it would remain
 
 }  // namespace
 
@@ -198,10 +199,9 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
                                 const std::function<void()>& poll,
                                 const std::function<Tensor(const Grid&)>& unwanted) {
   constexpr int kLooks = 3;
-  constexpr double kWide = 1.5;    // of what the fewest hypotheses span
-  constexpr double kUnseen = 1.5;  // alike
-  // A range is looked at again, and cut, where no more than this of it would remain.
-  constexpr double kFurther = 0.7, kWorth = 0.85;
+  constexpr double kWide = 1.5;     // of what the fewest hypotheses span
+  constexpr double kUnseen = 1.5;   // alike
+  constexpr double kFurther = 0.7;  // a range is looked at again where no more of it would remain
   const Rest rest(scene);
   const double enough = rest.enough(model.config()), margin = rest.margin();
   rpc::HeightRange range = scene.z_range;
@@ -245,8 +245,9 @@ std::optional<rpc::HeightRange> range_left(const nn::ModelConfig& config, const 
       agreed_heights(input, first.height.value(), nn::effective_confidence(config, first),
                      nn::kStrides[0], Unwanted(unwanted, scene));
   if (agreed.size() < kFewest) return std::nullopt;
-  return rest.last(range, scene::believable_span(agreed, range, scene::kLargestStep, kOnlyChance),
-                   agreed);
+  const rpc::HeightRange last = rest.last(
+      range, scene::believable_span(agreed, range, scene::kLargestStep, kOnlyChance), agreed);
+  return last.span() < kWorth * range.span() ? std::optional(last) : std::nullopt;
 }
 
 }  // namespace satsurf::reconstruct
