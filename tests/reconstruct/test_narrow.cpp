@@ -43,12 +43,6 @@ rpc::HeightRange seen_by_two(const scene::SimulatedScene& made) {
   return out;
 }
 
-ReconstructOptions without_look() {
-  ReconstructOptions options;
-  options.surface = Surface::plain, options.look = false;
-  return options;
-}
-
 }  // namespace
 
 TEST_CASE("a height range that is not generous stays what it is") {
@@ -92,29 +86,7 @@ TEST_CASE("towers stay in a range that is narrowed") {
     const rpc::HeightRange found = scene.frame.heights_from_z(narrowed_range(model, scene));
     CHECK(found.low <= truth.low);
     CHECK(found.high >= truth.high);
-    // nor does the first stage rule them out where nothing looked before
-    const Reconstruction run = reconstruct::reconstruct(model, scene, without_look());
-    const rpc::HeightRange left = run.frame.heights_from_z(run.z_range);
-    CHECK(left.low <= truth.low);
-    CHECK(left.high >= truth.high);
   }
-}
-
-TEST_CASE("the first stage leaves of a range what the surface needs") {
-  const scene::SimulatedScene made = test::village(320, 3);
-  const nn::Model model = nn::load_model(SATSURF_TEST_WEIGHTS);
-  scene::Scene scene = scene_of(made, {made.h_min - 45, made.h_max + 45});
-  const auto left_of = [&] {
-    const Reconstruction run = reconstruct::reconstruct(model, scene, without_look());
-    return run.frame.heights_from_z(run.z_range);
-  };
-  const rpc::HeightRange left = left_of();
-  CHECK(left.low <= made.h_min);
-  CHECK(left.high >= made.h_max);
-  CHECK(left.span() < made.h_max - made.h_min + 60);
-  // what was seen to agree before is kept
-  scene.z_agreed = rpc::HeightRange{scene.z_range.low + 1, scene.z_range.high - 1};
-  CHECK(left_of().span() >= scene.z_agreed->span());
 }
 
 TEST_CASE("a range is left alone that is hardly more than the margins") {
@@ -142,9 +114,7 @@ TEST_CASE("the plan of a run is what the run does, its heights narrowed alike") 
   const ReconstructPlan plan = plan_of_run(model, scene, {}),
                         before = plan_reconstruction(model.config(), scene, {});
   const Reconstruction run = reconstruct::reconstruct(model, scene, {});
-  // what the look leaves is planned, and the first stage may leave less of it
-  CHECK(run.z_range.low >= plan.z_range.low);
-  CHECK(run.z_range.high <= plan.z_range.high);
+  CHECK(plan.z_range == run.z_range);
   // the cells are those of the heights that are found
   const Index W = run.dsm.z.dim(1), H = run.dsm.z.dim(0);
   CHECK(plan.grid.step == run.dsm.step);
