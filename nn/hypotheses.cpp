@@ -77,10 +77,10 @@ std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInp
 }
 
 template <class T>
-BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
+BasicTensor<T> stage_hypotheses(const rpc::HeightRange& range, const StageGrid& grid,
                                 const StageHeights<T>* previous, Centre centre) {
   if (grid.hypotheses == 0) return {};
-  if (previous == nullptr) return uniform_hypotheses<T>(grid, scene.z_range);
+  if (previous == nullptr) return uniform_hypotheses<T>(grid, range);
   const NoGrad no_grad;
   const BasicVar<T> coarse = previous->height.detach();
   const BasicTensor<T> middle = centre == Centre::bilinear
@@ -88,7 +88,7 @@ BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid
                                     : along_slopes(coarse.value(), grid.height, grid.width);
   // a surface at the very edge of the range stays inside the band
   const double margin = 2 * grid.interval;
-  return narrowed_hypotheses(grid, middle, scene.z_range.widened(margin));
+  return narrowed_hypotheses(grid, middle, range.widened(margin));
 }
 
 template <class T>
@@ -158,9 +158,9 @@ BasicTensor<T> narrowed_hypotheses(const StageGrid& grid, const BasicTensor<T>& 
   return out;
 }
 
-template Tensor stage_hypotheses(const NetworkInput&, const StageGrid&, const StageHeights<float>*,
-                                 Centre);
-template BasicTensor<double> stage_hypotheses(const NetworkInput&, const StageGrid&,
+template Tensor stage_hypotheses(const rpc::HeightRange&, const StageGrid&,
+                                 const StageHeights<float>*, Centre);
+template BasicTensor<double> stage_hypotheses(const rpc::HeightRange&, const StageGrid&,
                                               const StageHeights<double>*, Centre);
 template Tensor along_slopes(const Tensor&, Index, Index);
 template BasicTensor<double> along_slopes(const BasicTensor<double>&, Index, Index);

@@ -31,13 +31,13 @@ std::array<StageGrid, 3> stage_grids(const ModelConfig& config, const NetworkInp
 
 /// The heights that one stage tries: the whole range first, then a narrow band around the surface of
 /// the stage before, without its gradient.
-/// scene     whose height range is searched
+/// range     that is searched, local m
 /// grid      of the stage
 /// previous  nullptr for the first stage
 /// centre    how its heights are interpolated
 /// returns   [N D h w] m; empty where the stage does not search
 template <class T>
-BasicTensor<T> stage_hypotheses(const NetworkInput& scene, const StageGrid& grid,
+BasicTensor<T> stage_hypotheses(const rpc::HeightRange& range, const StageGrid& grid,
                                 const StageHeights<T>* previous, Centre centre);
 
 /// Heights of coarse pixels for finer ones: each has that of the coarse pixel in which it lies,

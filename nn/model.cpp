@@ -133,7 +133,8 @@ struct BasicModel<T>::Parts {
   /// The figure of the method: features of all views, then three times CMMF, hypotheses, search,
   /// CSRG and surfels, each stage told by the one before where to look.
   std::array<StageOutput<T>, 3> run(const NetworkInput& scene, const std::function<void()>& poll,
-                                    std::vector<PartMemory>* memory, Wanted wanted) const;
+                                    std::vector<PartMemory>* memory, Wanted wanted,
+                                    const NarrowSearch<T>& narrow) const;
 
   ModelConfig config;
   ParameterSet<T> parameters;
@@ -170,13 +171,15 @@ template <class T>
 std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scene,
                                                         const std::function<void()>& poll,
                                                         std::vector<PartMemory>* memory,
-                                                        Wanted wanted) const {
+                                                        Wanted wanted,
+                                                        const NarrowSearch<T>& narrow) const {
   MemoryMeter meter(memory);
   const std::array<StageGrid, 3> grids = stage_grids(config, scene, wanted);
   FeatureMaps<T> features = extract_features(scene, poll);
   meter.end("features");
 
   std::array<StageOutput<T>, 3> out;
+  rpc::HeightRange range = scene.z_range;
   BasicTensor<T> in_search;  // probability that the surface lies where the next stage searches
   for (std::size_t s = 0; s < stages_of(wanted); ++s) {
     const StageParts<T>& part = stages[s];
@@ -192,10 +195,14 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
 
     // search: variance volumes, 3D U-Net, distribution of heights, confidence
     const BasicTensor<T> validity = downsampled(features.validity, grid.stride);
-    BasicTensor<T> hypotheses = stage_hypotheses<T>(scene, grid, previous, config.centre);
+    BasicTensor<T> hypotheses = stage_hypotheses<T>(range, grid, previous, config.centre);
     if (wanted == Wanted::discs && s > 0) drop_distribution(out[s - 1]);
     SearchOutput<T> found = part.search(
         scene, grid, {matching, validity, std::move(hypotheses), previous, in_search}, poll);
+    if (const auto left = s == 0 && narrow ? narrow(found.heights) : std::nullopt) {
+      range = *left;
+      found = part.search.within(range, grid, std::move(found));
+    }
     in_search = std::move(found.in_next_search);
     meter.end("volumes " + std::to_string(s + 1));
     out[s] = {
@@ -246,10 +253,10 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
 template <class T>
 std::array<StageOutput<T>, 3> BasicModel<T>::forward(const NetworkInput& scene,
                                                      const std::function<void()>& poll,
-                                                     std::vector<PartMemory>* memory,
-                                                     Wanted wanted) const {
+                                                     std::vector<PartMemory>* memory, Wanted wanted,
+                                                     const NarrowSearch<T>& narrow) const {
   check_input(parts_->config, scene);
-  return parts_->run(scene, poll, memory, wanted);
+  return parts_->run(scene, poll, memory, wanted, narrow);
 }
 
 template class BasicModel<float>;

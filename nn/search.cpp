@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/nn/search.h"
 
+#include "satsurf/core/parallel.h"
 #include "satsurf/nn/confidence.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/ops/mode_height.h"
 #include "satsurf/ops/resize.h"
 #include "satsurf/ops/softmax.h"
 
+#include <algorithm>
+#include <cmath>
 #include <utility>
 #include <vector>
 
@@ -74,21 +77,45 @@ SearchOutput<T> HeightSearch<T>::operator()(const NetworkInput& scene, const Sta
                                             const SearchInput<T>& in,
                                             const std::function<void()>& poll) const {
   if (!cost_) return {interpolated(*in.previous, grid), in.in_search};
-  const BasicVar<T> all = logits(scene, grid, in, poll);
-  const auto distribution = height_distribution(all, in.hypotheses);
+  return found(logits(scene, grid, in, poll), in.hypotheses, grid, in.in_search);
+}
+
+template <class T>
+SearchOutput<T> HeightSearch<T>::found(const BasicVar<T>& logits, const BasicTensor<T>& hypotheses,
+                                       const StageGrid& grid,
+                                       const BasicTensor<T>& in_search) const {
+  const auto distribution = height_distribution(logits, hypotheses);
   StageHeights<T> heights;
   heights.interval = grid.interval;
-  heights.hypotheses = in.hypotheses;
+  heights.hypotheses = hypotheses;
   heights.probability = distribution.probability;
   heights.height = height_ == HeightOf::mean
                        ? distribution.height
-                       : mode_height(distribution.probability, in.hypotheses, kModeRadius);
+                       : mode_height(distribution.probability, hypotheses, kModeRadius);
   heights.confidence = distribution.confidence;
   heights.choices = grid.hypotheses;
   if (!joint_) return {heights, {}};
-  JointProbability<T> joint = joint_probability(heights, grid.next_reach, in.in_search);
+  JointProbability<T> joint = joint_probability(heights, grid.next_reach, in_search);
   heights.joint_confidence = joint.confidence;
   return {heights, joint.in_next_search};
+}
+
+template <class T>
+SearchOutput<T> HeightSearch<T>::within(const rpc::HeightRange& range, const StageGrid& grid,
+                                        SearchOutput<T> found) const {
+  constexpr T kLeast = T(1e-30), kNever = T(-1e4);
+  const NoGrad no_grad;
+  const BasicTensor<T> hypotheses = found.heights.hypotheses;
+  const rpc::HeightRange left = range.widened(0.5 * grid.interval);
+  // A softmax of logarithms is what is left of the probabilities, shared anew.
+  BasicTensor<T> logs = std::exchange(found.heights.probability, {}).value();
+  for_range(logs.count(), 1 << 14, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) {
+      const auto z = static_cast<double>(hypotheses[i]);
+      logs[i] = z >= left.low && z <= left.high ? std::log(std::max(logs[i], kLeast)) : kNever;
+    }
+  });
+  return this->found(BasicVar<T>(std::move(logs)), hypotheses, grid, {});
 }
 
 template class HeightSearch<float>;

@@ -49,8 +49,16 @@ class HeightSearch {
   /// throws  ShapeError
   SearchOutput<T> operator()(const NetworkInput& scene, const StageGrid& grid,
                              const SearchInput<T>& in, const std::function<void()>& poll) const;
+  /// What the first stage finds if the surface lies within a range: hypotheses beyond it, by more than
+  /// half an interval, have no probability, and the others share it. Carries no gradient.
+  /// found  with a distribution; its storage is used up
+  SearchOutput<T> within(const rpc::HeightRange& range, const StageGrid& grid,
+                         SearchOutput<T> found) const;
 
  private:
+  /// The distribution that logits [N D h w] stand for, and what follows from it.
+  SearchOutput<T> found(const BasicVar<T>& logits, const BasicTensor<T>& hypotheses,
+                        const StageGrid& grid, const BasicTensor<T>& in_search) const;
   BasicVar<T> logits(const NetworkInput& scene, const StageGrid& grid, const SearchInput<T>& in,
                      const std::function<void()>& poll) const;
 

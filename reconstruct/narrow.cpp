@@ -98,41 +98,49 @@ class Unwanted {
   Tensor cells_;
 };
 
+/// The heights on which views agree.
+struct Agreed {
+  std::vector<float> heights;  // local m
+  double share = 0;            // of the pixels that show wanted ground
+};
+
 /// The heights on which a pixel that is rather sure and another view agree.
 /// heights, confidence  [N h w] of stage pixels, every `stride` of the images
-std::vector<float> agreed_heights(const nn::NetworkInput& input, const Tensor& heights,
-                                  const Tensor& confidence, Index stride,
-                                  const Unwanted& unwanted) {
+Agreed agreed_heights(const nn::NetworkInput& input, const Tensor& heights,
+                      const Tensor& confidence, Index stride, const Unwanted& unwanted) {
   constexpr float kSure = 0.3f;
   const Index h = heights.dim(1), w = heights.dim(2), W = w * stride;
   const Tensor of_pixels = nn::along_slopes(heights, h * stride, W);
   const CrossCheck check(input, of_pixels);
   const double within = 2 / nn::mean_parallax(input);  // m of two pixels
-  std::vector<float> out;
+  Agreed out;
+  Index wanted = 0;
   for (std::size_t i = 0; i < input.sources.size(); ++i)
     for (Index q = 0; q < h * w; ++q) {
       const Index p = (q / w * W + q % w) * stride;
       if (!(input.sources[i].valid[p] > 0)) continue;
-      if (!(confidence[static_cast<Index>(i) * h * w + q] >= kSure)) continue;
       const double z = check.height(i, p);
+      const auto at = input.sources[i].local_from_pixel(static_cast<double>(p % W),
+                                                        static_cast<double>(p / W), z);
+      if (unwanted.holds(at[0], at[1])) continue;
+      ++wanted;
+      if (!(confidence[static_cast<Index>(i) * h * w + q] >= kSure)) continue;
       bool agrees = false;
       for (std::size_t j = 0; j < input.sources.size() && !agrees; ++j) {
         const Index there = j == i ? -1 : check.landing(i, j, p, z);
         agrees = there >= 0 && std::abs(check.height(j, there) - z) < within;
       }
-      if (!agrees) continue;
-      const auto at = input.sources[i].local_from_pixel(static_cast<double>(p % W),
-                                                        static_cast<double>(p / W), z);
-      if (!unwanted.holds(at[0], at[1])) out.push_back(static_cast<float>(z));
+      if (agrees) out.heights.push_back(static_cast<float>(z));
     }
+  out.share =
+      wanted == 0 ? 0 : static_cast<double>(out.heights.size()) / static_cast<double>(wanted);
   return out;
 }
 
 /// The heights on which the views of a scene agree.
 /// searched  local m
-std::vector<float> look_at(const nn::Model& model, const scene::Scene& scene,
-                           const rpc::HeightRange& searched, const Unwanted& unwanted,
-                           const std::function<void()>& poll) {
+Agreed look_at(const nn::Model& model, const scene::Scene& scene, const rpc::HeightRange& searched,
+               const Unwanted& unwanted, const std::function<void()>& poll) {
   std::vector<Index> sources(scene.views.size());
   std::iota(sources.begin(), sources.end(), Index{0});
   const std::array<double, 3> middle = middle_of(scene);
@@ -147,44 +155,80 @@ std::vector<float> look_at(const nn::Model& model, const scene::Scene& scene,
                         nn::effective_confidence(model.config(), seen), seen.stride, unwanted);
 }
 
+/// How much of a range is worth keeping beside the heights on which views agree.
+class Rest {
+ public:
+  explicit Rest(const scene::Scene& scene)
+      : cameras_(scene::cameras_at(scene.views, scene.frame, middle_of(scene))),
+        agreed_(scene.z_agreed),
+        margin_(std::max(5.0, 2 / mean_parallax(cameras_))) {}
+
+  /// Two pixels or more, m.
+  double margin() const { return margin_; }
+  /// m that the fewest hypotheses span in whole images
+  double enough(const nn::ModelConfig& config) const {
+    return span_of_hypotheses(config, cameras_);
+  }
+  /// Whether there is anything to be gained.
+  bool worth(const rpc::HeightRange& range) const { return !(range.span() < 6 * margin_); }
+
+  /// A part of the range, which holds what was found with so much more of it.
+  rpc::HeightRange around(const rpc::HeightRange& range, const rpc::HeightRange& found,
+                          double below, double above) const {
+    rpc::HeightRange with{found.low - below, found.high + above};
+    if (agreed_) with = hull(with, *agreed_);
+    return {std::max(range.low, with.low), std::min(range.high, with.high)};
+  }
+  /// The part that remains in the end. Where some buildings are tall, others may be taller; flat ground
+  /// with halls gains most.
+  /// believed  of the heights on which views agree
+  rpc::HeightRange last(const rpc::HeightRange& range, const rpc::HeightRange& believed,
+                        const std::vector<float>& agreed) const {
+    constexpr double kFew = 2e-4;               // of them are wrong, or of masts, on either side
+    constexpr double kTall = 40, kTaller = 25;  // m
+    const rpc::HeightRange seen = hull(believed, scene::span_of_all_but(kFew, agreed));
+    const double taller = seen.span() > kTall ? std::min(0.5 * seen.span(), kTaller) : 0;
+    return around(range, seen, margin_, std::max(2 * margin_, taller));
+  }
+
+ private:
+  std::vector<rpc::PixelJacobian> cameras_;
+  std::optional<rpc::HeightRange> agreed_;
+  double margin_;
+};
+
+constexpr std::size_t kFewest = 200;  // heights that agree
+constexpr double kOnlyChance = 0.2;   // of a range, at least, holds no surface
+constexpr double kWorth = 0.85;       // a range is cut where no more of it would remain
+
 }  // namespace
 
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
                                 const std::function<void()>& poll,
                                 const std::function<Tensor(const Grid&)>& unwanted) {
   constexpr int kLooks = 3;
-  constexpr std::size_t kFewest = 200;        // heights that agree
-  constexpr double kFew = 2e-4;               // of them are wrong, or of masts, on either side
-  constexpr double kOnlyChance = 0.2;         // of a range, at least, holds no surface
-  constexpr double kUnseen = 1.5;             // of what the fewest hypotheses span
-  constexpr double kTall = 40, kTaller = 25;  // m
-  // A range is looked at again, and cut, where no more than this of it would remain.
-  constexpr double kFurther = 0.7, kWorth = 0.85;
-  const std::vector<rpc::PixelJacobian> cameras =
-      scene::cameras_at(scene.views, scene.frame, middle_of(scene));
-  const double enough = span_of_hypotheses(model.config(), cameras),
-               margin = std::max(5.0, 2 / mean_parallax(cameras));  // m: two pixels or more
+  constexpr double kWide = 1.5;     // of what the fewest hypotheses span
+  constexpr double kUnseen = 1.5;   // alike
+  constexpr double kFurther = 0.7;  // a range is looked at again where no more of it would remain
+  const Rest rest(scene);
+  const double enough = rest.enough(model.config()), margin = rest.margin();
   rpc::HeightRange range = scene.z_range;
-  if (range.span() < 6 * margin) return range;
+  if (!rest.worth(range) || range.span() < kWide * enough) return range;
   Index largest = 0;
   for (const scene::View& v : scene.views) largest = std::max({largest, v.height(), v.width()});
   const Unwanted left_out(unwanted, scene);
   std::optional<rpc::HeightRange> believed;
   for (int look = 0; look < kLooks; ++look) {
-    const std::vector<float> agreed = look_at(
-        model, smaller(scene, factor_of(range.span() / enough, largest)), range.widened(2 * margin),
-        left_out, poll);  // the ends of a range are seldom chosen
+    const std::vector<float> agreed =
+        look_at(model, smaller(scene, factor_of(range.span() / enough, largest)),
+                range.widened(2 * margin), left_out, poll)  // the ends of a range are seldom chosen
+            .heights;
     if (agreed.size() < kFewest) break;
-    const auto within = [&](const rpc::HeightRange& found, double below, double above) {
-      rpc::HeightRange with{found.low - below, found.high + above};
-      if (scene.z_agreed) with = hull(with, *scene.z_agreed);
-      return rpc::HeightRange{std::max(range.low, with.low), std::min(range.high, with.high)};
-    };
     // What a look over more believed stays.
     const rpc::HeightRange found =
         scene::believable_span(agreed, range, scene::kLargestStep, kOnlyChance);
     believed = believed ? hull(*believed, found) : found;
-    rpc::HeightRange next = within(*believed, 2 * margin, 6 * margin);
+    rpc::HeightRange next = rest.around(range, *believed, 2 * margin, 6 * margin);
     // Of a very generous range small towers may not be seen yet.
     next.high = std::min(range.high, std::max(next.high, next.low + kUnseen * enough));
     next.low = std::max(range.low, std::min(next.low, next.high - kUnseen * enough));
@@ -193,13 +237,28 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
       range = next;
       continue;
     }
-    // Where some buildings are tall, others may be taller; flat ground with halls gains most.
-    const rpc::HeightRange seen = hull(*believed, scene::span_of_all_but(kFew, agreed));
-    const double taller = seen.span() > kTall ? std::min(0.5 * seen.span(), kTaller) : 0;
-    const rpc::HeightRange last = within(seen, margin, std::max(2 * margin, taller));
+    const rpc::HeightRange last = rest.last(range, *believed, agreed);
     return last.span() < kWorth * range.span() ? last : range;
   }
   return range;
+}
+
+std::optional<rpc::HeightRange> range_left(const nn::ModelConfig& config, const scene::Scene& scene,
+                                           const nn::NetworkInput& input,
+                                           const nn::StageHeights<float>& first,
+                                           const std::function<Tensor(const Grid&)>& unwanted) {
+  constexpr double kMostly = 0.5;  // of the pixels agree, or what is left out proves nothing
+  const Rest rest(scene);
+  const rpc::HeightRange& range = input.z_range;
+  if (!rest.worth(range)) return std::nullopt;
+  const Agreed agreed =
+      agreed_heights(input, first.height.value(), nn::effective_confidence(config, first),
+                     nn::kStrides[0], Unwanted(unwanted, scene));
+  if (agreed.heights.size() < kFewest || agreed.share < kMostly) return std::nullopt;
+  const rpc::HeightRange last = rest.last(
+      range, scene::believable_span(agreed.heights, range, scene::kLargestStep, kOnlyChance),
+      agreed.heights);
+  return last.span() < kWorth * range.span() ? std::optional(last) : std::nullopt;
 }
 
 }  // namespace satsurf::reconstruct

@@ -6,6 +6,7 @@
 #include "satsurf/scene/scene.h"
 
 #include <functional>
+#include <optional>
 
 namespace satsurf::reconstruct {
 
@@ -20,12 +21,26 @@ namespace satsurf::reconstruct {
 /// there is half of that more above, up to 25 m. The range holds what the images agreed on when it was
 /// found (`Scene::z_agreed`). The scene's own is kept where it is less than six margins, where hardly
 /// anything agrees, and where less than 15 % would be saved: what is cut off is lost, a tower that no
-/// look has seen, too.
+/// look has seen, too. It is also kept, without a look, where it is less than one and a half times what
+/// the fewest hypotheses span: then the first stage can as well search all of it (`range_left`).
 /// poll      called between layers, may throw to stop
 /// unwanted  ground on which heights do not count, see ReconstructOptions; may be empty
 /// returns   a part of `scene.z_range`, local m
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
                                 const std::function<void()>& poll = {},
                                 const std::function<Tensor(const Grid&)>& unwanted = {});
+
+/// What the first stage of the network leaves to the others of the range it searched, by the rules of
+/// the last look; nothing where that would save less than 15 %, where the range is less than six margins
+/// or where views disagree at more than half of the pixels. Costs no search.
+/// scene     of the views, whose `z_agreed` is kept
+/// input     windows of all of them
+/// first     what the first stage found there
+/// unwanted  as above
+/// returns   a part of `input.z_range`, local m
+std::optional<rpc::HeightRange> range_left(const nn::ModelConfig& config, const scene::Scene& scene,
+                                           const nn::NetworkInput& input,
+                                           const nn::StageHeights<float>& first,
+                                           const std::function<Tensor(const Grid&)>& unwanted = {});
 
 }  // namespace satsurf::reconstruct

@@ -191,7 +191,7 @@ void leave_out(Reconstruction& out, const Tensor& unwanted, const Grid& cells) {
 scene::Scene narrowed(const nn::Model& model, const scene::Scene& scene,
                       const ReconstructOptions& options) {
   scene::Scene out = scene;
-  if (!options.narrow) return out;
+  if (!options.look) return out;
   out.z_range = narrowed_range(
       model, scene,
       [&] {
@@ -235,10 +235,18 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
                          static_cast<double>(t) / static_cast<double>(plan.tiles.size()));
     };
     poll();
-    const scene::Crop crop = window_of(scene, plan, plan.middles[t]);
+    scene::Crop crop = window_of(scene, plan, plan.middles[t]);
     out.camera_fit_max_px = std::max(out.camera_fit_max_px, worst_fit(crop.input));
     std::vector<nn::PartMemory> memory;
-    const auto stages = model.forward(crop.input, poll, &memory, wanted_of(surface));
+    rpc::HeightRange range = scene.z_range;
+    const auto stages = model.forward(
+        crop.input, poll, &memory, wanted_of(surface), [&](const nn::StageHeights<float>& first) {
+          const auto left = range_left(model.config(), scene, crop.input, first, options.unwanted);
+          range = left.value_or(range);
+          return left;
+        });
+    crop.input.z_range = range;
+    out.z_range = t == 0 ? range : hull(out.z_range, range);
     keep_most(out.memory, memory);
     poll();
     const auto tile =
@@ -251,7 +259,6 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
     if (t + 1 == plan.tiles.size()) out.images = whole_images(scene, plan, crop);
   }
   out.frame = scene.frame;
-  out.z_range = scene.z_range;
   out.tiles = static_cast<Index>(plan.tiles.size());
   out.voxel = plan.voxel;
   out.planned_memory_bytes = plan.memory_bytes;

@@ -388,8 +388,8 @@ TEST_CASE("lost_by_stage: the window is as wide as the stage before is told") {
   for (std::size_t s = 0; s < 3; ++s) {
     const nn::StageGrid& grid = grids[s];
     stages[s].interval = grid.interval;
-    stages[s].hypotheses =
-        nn::stage_hypotheses<float>(scene, grid, s == 0 ? nullptr : &stages[s - 1], config.centre);
+    stages[s].hypotheses = nn::stage_hypotheses<float>(
+        scene.z_range, grid, s == 0 ? nullptr : &stages[s - 1], config.centre);
     stages[s].height = Var(Tensor({grid.views, grid.height, grid.width}, kCentre));
     truth[s].assign(static_cast<std::size_t>(grid.views), Tensor({grid.height, grid.width}, kNan));
   }

@@ -12,6 +12,7 @@
 
 #include <array>
 #include <cmath>
+#include <optional>
 
 #include "tests/affine_scene.h"
 #include "tests/gradcheck.h"
@@ -594,6 +595,61 @@ TEST_CASE("stages that do not search interpolate, and surfels of all stages can 
     const auto of_32 = nn::Model(nn::model_preset(preset), 1).forward(hill());
     CHECK(of_32[2].height.shape() == Shape{3, 32, 32});
   }
+}
+
+TEST_CASE("heights that are ruled out after the first stage are tried by none") {
+  const auto scene = hill();
+  const NoGrad no_grad;
+  const nn::Model model(nn::model_preset("tiny"), 1);
+  const auto forward = [&](const nn::NarrowSearch<float>& narrow) {
+    return model.forward(scene, {}, nullptr, nn::Wanted::heights, narrow);
+  };
+  const auto all = forward({});
+  int asked = 0;
+  const auto unknown = forward([&](const nn::StageHeights<float>& first) {
+    ++asked;
+    CHECK(first.height.value()[5] == all[0].height.value()[5]);
+    return std::nullopt;
+  });
+  CHECK(asked == 1);
+  const rpc::HeightRange range{-1.5, 2.5};
+  const auto some = forward([&](const nn::StageHeights<float>&) { return range; });
+  for (std::size_t s = 0; s < 3; ++s)
+    for (Index i = 0; i < all[s].height.count(); ++i)
+      CHECK(unknown[s].height.value()[i] == all[s].height.value()[i]);
+  // of the first stage the shares of those that are left, and nothing of the others
+  const Tensor &before = all[0].probability.value(), &after = some[0].probability.value();
+  const Index D = before.dim(1), P = before.dim(2) * before.dim(3);
+  const double half = 0.5 * all[0].interval;
+  Index out = 0;
+  for (Index n = 0; n < before.dim(0); ++n)
+    for (Index p = 0; p < P; ++p) {
+      double left = 0;
+      const auto inside = [&](Index d) {
+        const auto z = static_cast<double>(all[0].hypotheses[(n * D + d) * P + p]);
+        return z >= range.low - half && z <= range.high + half;
+      };
+      for (Index d = 0; d < D; ++d)
+        if (inside(d)) left += static_cast<double>(before[(n * D + d) * P + p]);
+      for (Index d = 0; d < D; ++d) {
+        const Index i = (n * D + d) * P + p;
+        out += inside(d) ? 0 : 1;
+        CHECK(
+            static_cast<double>(after[i]) ==
+            doctest::Approx(inside(d) ? static_cast<double>(before[i]) / left : 0.0).epsilon(1e-4));
+      }
+    }
+  CHECK(out > 0);
+  for (std::size_t s = 1; s < 3; ++s)
+    for (Index i = 0; i < some[s].hypotheses.count(); ++i) {
+      const auto z = static_cast<double>(some[s].hypotheses[i]);
+      const double reach =
+          std::max(2 * some[s].interval,  // or the band about the middle is wider
+                   0.5 * (static_cast<double>(some[s].hypotheses.dim(1) - 1) * some[s].interval -
+                          range.span()));
+      CHECK(z >= range.low - reach - 1e-4);
+      CHECK(z <= range.high + reach + 1e-4);
+    }
 }
 
 TEST_CASE("one and two threads give the same bits") {

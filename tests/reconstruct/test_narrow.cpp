@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/core/rng.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/narrow.h"
 #include "satsurf/reconstruct/reconstruct.h"
@@ -41,6 +42,22 @@ rpc::HeightRange seen_by_two(const scene::SimulatedScene& made) {
       if (seen >= 2) out = hull(out, {z + made.frame.h0, z + made.frame.h0});
     }
   return out;
+}
+
+ReconstructOptions without_look() {
+  ReconstructOptions options;
+  options.surface = Surface::plain, options.look = false;
+  return options;
+}
+
+/// Noise instead of that share of a view's columns, from the left.
+void spoil_left(scene::View& view, double share) {
+  Rng rng(5);
+  const Index W = view.width(),
+              columns = static_cast<Index>(share * static_cast<double>(view.width()));
+  for (Index row = 0; row < 3 * view.height(); ++row)
+    for (Index col = 0; col < columns; ++col)
+      view.rgb[row * W + col] = static_cast<float>(rng.uniform());
 }
 
 }  // namespace
@@ -86,7 +103,34 @@ TEST_CASE("towers stay in a range that is narrowed") {
     const rpc::HeightRange found = scene.frame.heights_from_z(narrowed_range(model, scene));
     CHECK(found.low <= truth.low);
     CHECK(found.high >= truth.high);
+    // nor does the first stage rule them out where nothing looked before
+    const Reconstruction run = reconstruct::reconstruct(model, scene, without_look());
+    const rpc::HeightRange left = run.frame.heights_from_z(run.z_range);
+    CHECK(left.low <= truth.low);
+    CHECK(left.high >= truth.high);
   }
+}
+
+TEST_CASE("the first stage leaves of a range what the surface needs") {
+  const scene::SimulatedScene made = test::village(320, 3);
+  const nn::Model model = nn::load_model(SATSURF_TEST_WEIGHTS);
+  scene::Scene scene = scene_of(made, {made.h_min - 45, made.h_max + 45});
+  const auto left_of = [&] {
+    const Reconstruction run = reconstruct::reconstruct(model, scene, without_look());
+    return run.frame.heights_from_z(run.z_range);
+  };
+  const rpc::HeightRange left = left_of();
+  CHECK(left.low <= made.h_min);
+  CHECK(left.high >= made.h_max);
+  CHECK(left.span() < made.h_max - made.h_min + 60);
+  // what was seen to agree before is kept
+  scene.z_agreed = rpc::HeightRange{scene.z_range.low + 1, scene.z_range.high - 1};
+  CHECK(left_of().span() >= scene.z_agreed->span());
+  // and all of it where views agree on a small part of the ground alone
+  scene.z_agreed.reset();
+  spoil_left(scene.views[1], 0.6);
+  spoil_left(scene.views[2], 0.6);
+  CHECK(left_of().span() == doctest::Approx(scene.z_range.span()));
 }
 
 TEST_CASE("a range is left alone that is hardly more than the margins") {
@@ -114,7 +158,9 @@ TEST_CASE("the plan of a run is what the run does, its heights narrowed alike") 
   const ReconstructPlan plan = plan_of_run(model, scene, {}),
                         before = plan_reconstruction(model.config(), scene, {});
   const Reconstruction run = reconstruct::reconstruct(model, scene, {});
-  CHECK(plan.z_range == run.z_range);
+  // what the look leaves is planned, and the first stage may leave less of it
+  CHECK(run.z_range.low >= plan.z_range.low);
+  CHECK(run.z_range.high <= plan.z_range.high);
   // the cells are those of the heights that are found
   const Index W = run.dsm.z.dim(1), H = run.dsm.z.dim(0);
   CHECK(plan.grid.step == run.dsm.step);

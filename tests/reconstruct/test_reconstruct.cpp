@@ -442,7 +442,7 @@ TEST_CASE("the surface reaches as far as two images show its heights") {
                                rpc::HeightRange{made.h_min - 2, made.h_max + 150})
           .scene;
   ReconstructOptions options;
-  options.narrow = false;
+  options.look = false;
   const Ground planned = plan_reconstruction(model.config(), scene, options).ground;
   const Reconstruction run = reconstruct::reconstruct(model, scene, options);
   double seen = 0, beyond = 0, held = 0;

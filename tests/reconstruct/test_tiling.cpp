@@ -470,7 +470,7 @@ struct OneTile {
   scene::WindowedScene part;
 
   explicit OneTile(Index pixels) : files(pixels, 2), survey(files.survey()) {
-    options.surface = Surface::plain, options.narrow = false;
+    options.surface = Surface::plain, options.look = false;
     tiling = plan_tiles(model.config(), survey, options, {});
     REQUIRE(tiling.tiles.size() == 1);
     tile = tiling.tiles[0];
