@@ -139,8 +139,9 @@ Agreed agreed_heights(const nn::NetworkInput& input, const Tensor& heights,
 
 /// The heights on which the views of a scene agree.
 /// searched  local m
-Agreed look_at(const nn::Model& model, const scene::Scene& scene, const rpc::HeightRange& searched,
-               const Unwanted& unwanted, const std::function<void()>& poll) {
+std::vector<float> look_at(const nn::Model& model, const scene::Scene& scene,
+                           const rpc::HeightRange& searched, const Unwanted& unwanted,
+                           const std::function<void()>& poll) {
   std::vector<Index> sources(scene.views.size());
   std::iota(sources.begin(), sources.end(), Index{0});
   const std::array<double, 3> middle = middle_of(scene);
@@ -152,7 +153,8 @@ Agreed look_at(const nn::Model& model, const scene::Scene& scene, const rpc::Hei
   const auto stages = model.forward(crop.input, poll, nullptr, nn::Wanted::coarse_heights);
   const auto& seen = stages[nn::stages_of(nn::Wanted::coarse_heights) - 1];
   return agreed_heights(crop.input, seen.height.value(),
-                        nn::effective_confidence(model.config(), seen), seen.stride, unwanted);
+                        nn::effective_confidence(model.config(), seen), seen.stride, unwanted)
+      .heights;
 }
 
 /// How much of a range is worth keeping beside the heights on which views agree.
@@ -179,16 +181,19 @@ class Rest {
     if (agreed_) with = hull(with, *agreed_);
     return {std::max(range.low, with.low), std::min(range.high, with.high)};
   }
-  /// The part that remains in the end. Where some buildings are tall, others may be taller; flat ground
-  /// with halls gains most.
+  /// The part that remains in the end; nothing where it would save too little. Where some buildings
+  /// are tall, others may be taller; flat ground with halls gains most.
   /// believed  of the heights on which views agree
-  rpc::HeightRange last(const rpc::HeightRange& range, const rpc::HeightRange& believed,
-                        const std::vector<float>& agreed) const {
+  std::optional<rpc::HeightRange> last(const rpc::HeightRange& range,
+                                       const rpc::HeightRange& believed,
+                                       const std::vector<float>& agreed) const {
+    constexpr double kWorth = 0.85;             // a range is cut where no more of it would remain
     constexpr double kFew = 2e-4;               // of them are wrong, or of masts, on either side
     constexpr double kTall = 40, kTaller = 25;  // m
     const rpc::HeightRange seen = hull(believed, scene::span_of_all_but(kFew, agreed));
     const double taller = seen.span() > kTall ? std::min(0.5 * seen.span(), kTaller) : 0;
-    return around(range, seen, margin_, std::max(2 * margin_, taller));
+    const rpc::HeightRange part = around(range, seen, margin_, std::max(2 * margin_, taller));
+    return part.span() < kWorth * range.span() ? std::optional(part) : std::nullopt;
   }
 
  private:
@@ -199,7 +204,6 @@ class Rest {
 
 constexpr std::size_t kFewest = 200;  // heights that agree
 constexpr double kOnlyChance = 0.2;   // of a range, at least, holds no surface
-constexpr double kWorth = 0.85;       // a range is cut where no more of it would remain
 
 }  // namespace
 
@@ -219,10 +223,9 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
   const Unwanted left_out(unwanted, scene);
   std::optional<rpc::HeightRange> believed;
   for (int look = 0; look < kLooks; ++look) {
-    const std::vector<float> agreed =
-        look_at(model, smaller(scene, factor_of(range.span() / enough, largest)),
-                range.widened(2 * margin), left_out, poll)  // the ends of a range are seldom chosen
-            .heights;
+    const std::vector<float> agreed = look_at(
+        model, smaller(scene, factor_of(range.span() / enough, largest)), range.widened(2 * margin),
+        left_out, poll);  // the ends of a range are seldom chosen
     if (agreed.size() < kFewest) break;
     // What a look over more believed stays.
     const rpc::HeightRange found =
@@ -237,8 +240,7 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
       range = next;
       continue;
     }
-    const rpc::HeightRange last = rest.last(range, *believed, agreed);
-    return last.span() < kWorth * range.span() ? last : range;
+    return rest.last(range, *believed, agreed).value_or(range);
   }
   return range;
 }
@@ -255,10 +257,9 @@ std::optional<rpc::HeightRange> range_left(const nn::ModelConfig& config, const 
       agreed_heights(input, first.height.value(), nn::effective_confidence(config, first),
                      nn::kStrides[0], Unwanted(unwanted, scene));
   if (agreed.heights.size() < kFewest || agreed.share < kMostly) return std::nullopt;
-  const rpc::HeightRange last = rest.last(
-      range, scene::believable_span(agreed.heights, range, scene::kLargestStep, kOnlyChance),
-      agreed.heights);
-  return last.span() < kWorth * range.span() ? std::optional(last) : std::nullopt;
+  return rest.last(range,
+                   scene::believable_span(agreed.heights, range, scene::kLargestStep, kOnlyChance),
+                   agreed.heights);
 }
 
 }  // namespace satsurf::reconstruct

@@ -32,7 +32,7 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
 
 /// What the first stage of the network leaves to the others of the range it searched, by the rules of
 /// the last look; nothing where that would save less than 15 %, where the range is less than six margins
-/// or where views disagree at more than half of the pixels. Costs no search.
+/// or where views agree at less than half of the pixels, or at hardly any. Costs no search.
 /// scene     of the views, whose `z_agreed` is kept
 /// input     windows of all of them
 /// first     what the first stage found there
