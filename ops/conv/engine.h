@@ -45,8 +45,8 @@
 ///
 ///   path of the sums    correlation_route in gather.cpp: straight to the output where a kernel has
 ///                       one tap and rows are whole vectors; with channels in lanes where columns
-///                       have stride 2 and there are channels enough, so that columns need not be
-///                       split; through lines otherwise
+///                       have stride 2, there are channels enough and the instruction set is fast at
+///                       it, so that columns need not be split; through lines otherwise
 ///   mixing of rows      with_mixed_rows in axes.cpp: three taps, stride 1, and outputs enough to
 ///                       pay for mixing the kernels
 ///   rows of a piece     rows_in_cache and Pieces in slab.cpp: a slab fits the second-level cache

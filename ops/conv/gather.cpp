@@ -40,7 +40,8 @@ Geometry as_lines(Geometry g) {
 template <class T>
 Route correlation_route(const ConvKernels<T>& kernels, const Geometry& g) {
   if (single_tap(g) && g.y_size[2] % kernels.lanes == 0) return Route::direct;
-  return g.O >= kernels.lanes && g.stride[2] == 2 ? Route::lanes : Route::lines;
+  return kernels.keeps_channels_in_lanes && g.O >= kernels.lanes && g.stride[2] == 2 ? Route::lanes
+                                                                                     : Route::lines;
 }
 
 /// Where outputs go and what else happens to them.

@@ -27,7 +27,17 @@ constexpr Index tile_columns(Index outputs) {
   return outputs == 4 ? 3 : outputs == 2 ? 4 : 6;
 }
 
-template <class T, Index O, Index V>
+/// Asks for what the V vectors behind those at x hold: every tap starts on other cache lines, and
+/// these streams are too many for the processor to foresee.
+template <class T, Index V>
+void prefetch_behind(const T* x) {
+  constexpr Index kLine = 64 / static_cast<Index>(sizeof(T)), kVectors = V * kLanes<T>;
+#pragma GCC unroll 8
+  for (Index i = 0; i < kVectors; i += kLine) __builtin_prefetch(x + kVectors + i);
+}
+
+/// kFirst  whether these outputs are the first to read what the tile reads
+template <class T, Index O, Index V, bool kFirst>
 void gather_tile(const ConvGather<T>& g, const T* x, const T* weight, const T* bias, T* out) {
   constexpr Index L = kLanes<T>;
   Batch<T> acc[O][V];
@@ -38,6 +48,7 @@ void gather_tile(const ConvGather<T>& g, const T* x, const T* weight, const T* b
   for (Index c = 0; c < g.C; ++c, x += g.c_stride)
     for (Index t = 0; t < g.taps; ++t, weight += kConvBlock) {
       const T* xt = x + g.shift[t];
+      if constexpr (kFirst) prefetch_behind<T, V>(xt);
       Batch<T> in[V];
 #pragma GCC unroll 8
       for (Index v = 0; v < V; ++v) in[v] = Batch<T>::load_unaligned(xt + v * L);
@@ -60,26 +71,42 @@ void gather_tile(const ConvGather<T>& g, const T* x, const T* weight, const T* b
     for (Index v = 0; v < V; ++v) acc[o][v].store_unaligned(out + o * g.out_stride + v * L);
 }
 
+/// V vectors of all outputs, one group of them after another: what the first group has read is in
+/// the first-level cache for the others.
+template <class T, Index V>
+void gather_outputs(const ConvGather<T>& g, const T* x, T* out) {
+  const auto group = [&]<Index O, bool kFirst>(Index o) {
+    gather_tile<T, O, V, kFirst>(g, x, g.weight + o, g.bias + o, out + o * g.out_stride);
+  };
+  Index o = 0;
+  const auto run = [&]<Index O>() {
+    if (o == 0 && g.outputs >= O) {
+      group.template operator()<O, true>(0);
+      o = O;
+    }
+    for (; g.outputs - o >= O; o += O) group.template operator()<O, false>(o);
+  };
+  if constexpr (kManyRegisters) run.template operator()<8>();
+  run.template operator()<4>();
+  run.template operator()<2>();
+  run.template operator()<1>();
+}
+
 /// Tiles of V vectors while they fit, then of half as many, down to one.
-template <class T, Index O, Index V>
-void gather_outputs(const ConvGather<T>& g, Index first, Index vectors, const T* x, T* out) {
+template <class T, Index V>
+void gather_vectors(const ConvGather<T>& g, Index vectors, const T* x, T* out) {
   constexpr Index L = kLanes<T>;
-  for (; vectors >= V; vectors -= V, x += V * L, out += V * L)
-    gather_tile<T, O, V>(g, x, g.weight + first, g.bias + first, out);
-  if constexpr (V > 1) gather_outputs<T, O, (V + 1) / 2>(g, first, vectors, x, out);
+  for (; vectors >= V; vectors -= V, x += V * L, out += V * L) gather_outputs<T, V>(g, x, out);
+  if constexpr (V > 1) gather_vectors<T, (V + 1) / 2>(g, vectors, x, out);
 }
 
 template <class T>
 void gather(const ConvGather<T>& g, Index n) {
   const Index vectors = (n + kLanes<T> - 1) / kLanes<T>;
-  Index first = 0;
-  const auto run = [&]<Index O>() {
-    for (; g.outputs - first >= O; first += O)
-      gather_outputs<T, O, tile_vectors(O)>(g, first, vectors, g.x, g.out + first * g.out_stride);
-  };
-  if constexpr (kManyRegisters) run.template operator()<8>();
-  run.template operator()<4>();
-  run.template operator()<2>();
+  const auto run = [&]<Index O>() { gather_vectors<T, tile_vectors(O)>(g, vectors, g.x, g.out); };
+  if (kManyRegisters && g.outputs >= 8) return run.template operator()<8>();
+  if (g.outputs >= 4) return run.template operator()<4>();
+  if (g.outputs >= 2) return run.template operator()<2>();
   run.template operator()<1>();
 }
 
@@ -257,6 +284,7 @@ ConvKernels<T> ConvKernels<T>::compiled_for() {
           .column_group = {0, here::column_group(1), here::column_group(2), here::column_group(3),
                            here::column_group(4), here::column_group(5), here::column_group(6),
                            here::column_group(7), here::column_group(8)},
+          .keeps_channels_in_lanes = here::kManyRegisters,
           .gather = here::gather<T>,
           .gather_in_lanes = here::gather_in_lanes<T>,
           .weight_gradient = here::weight_gradient<T>,

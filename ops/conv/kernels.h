@@ -41,6 +41,9 @@ template <class T>
 struct ConvKernels {
   Index lanes;                         ///< elements per vector
   Index column_group[kConvBlock + 1];  ///< weight columns per register tile, by number of outputs
+  /// Whether gather_in_lanes is the faster where columns have stride 2. One weight and a position per
+  /// multiply-add come from memory, so it pays where those keep up with the multiply-adds.
+  bool keeps_channels_in_lanes;
 
   /// Positions 0 <= p < n, in blocks of kConvBlock outputs. Reads x and writes out up to n rounded
   /// up to whole vectors.
