@@ -187,16 +187,40 @@ class Rest {
   std::optional<rpc::HeightRange> last(const rpc::HeightRange& range,
                                        const rpc::HeightRange& believed,
                                        const std::vector<float>& agreed) const {
-    constexpr double kWorth = 0.85;             // a range is cut where no more of it would remain
-    constexpr double kFew = 2e-4;               // of them are wrong, or of masts, on either side
     constexpr double kTall = 40, kTaller = 25;  // m
     const rpc::HeightRange seen = hull(believed, scene::span_of_all_but(kFew, agreed));
     const double taller = seen.span() > kTall ? std::min(0.5 * seen.span(), kTaller) : 0;
     const rpc::HeightRange part = around(range, seen, margin_, std::max(2 * margin_, taller));
-    return part.span() < kWorth * range.span() ? std::optional(part) : std::nullopt;
+    return saves(part, range) ? std::optional(part) : std::nullopt;
+  }
+  /// Whether a range is worth cutting to a part of it.
+  static bool saves(const rpc::HeightRange& part, const rpc::HeightRange& range) {
+    constexpr double kWorth = 0.85;
+    return part.span() < kWorth * range.span();
+  }
+  /// Whether some of the heights on which views agree, more than are wrong anyway, lie apart from the
+  /// middle one: behind a margin with hardly any.
+  bool some_apart(std::vector<float> agreed) const {
+    constexpr double kHardly = 1e-3;
+    std::ranges::sort(agreed);
+    const auto n = static_cast<double>(agreed.size());
+    const auto hardly = static_cast<std::ptrdiff_t>(kHardly * n),
+               wrong = static_cast<std::ptrdiff_t>(kFew * n);
+    const auto middle = agreed.begin() + std::ssize(agreed) / 2;
+    for (auto from = middle, to = middle; from != agreed.end(); ++from) {
+      while (to != agreed.end() && *to - *from <= margin_) ++to;
+      if (to - from <= hardly + 1 && agreed.end() - to > wrong) return true;
+    }
+    for (auto from = middle, to = middle; from != agreed.begin(); --from) {
+      while (to != agreed.begin() && *from - *std::prev(to) <= margin_) --to;
+      if (from - to <= hardly && to - agreed.begin() > wrong) return true;
+    }
+    return false;
   }
 
  private:
+  static constexpr double kFew = 2e-4;  ///< of the heights are wrong, or of masts, on either side
+
   std::vector<rpc::PixelJacobian> cameras_;
   std::optional<rpc::HeightRange> agreed_;
   double margin_;
@@ -210,14 +234,26 @@ constexpr double kOnlyChance = 0.2;   // of a range, at least, holds no surface
 rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scene,
                                 const std::function<void()>& poll,
                                 const std::function<Tensor(const Grid&)>& unwanted) {
+  return looks_first(model.config(), scene) ? looked_range(model, scene, poll, unwanted)
+                                            : scene.z_range;
+}
+
+bool looks_first(const nn::ModelConfig& config, const scene::Scene& scene) {
+  constexpr double kWide = 1.5;  // of what the fewest hypotheses span
+  const Rest rest(scene);
+  return rest.worth(scene.z_range) && !(scene.z_range.span() < kWide * rest.enough(config));
+}
+
+rpc::HeightRange looked_range(const nn::Model& model, const scene::Scene& scene,
+                              const std::function<void()>& poll,
+                              const std::function<Tensor(const Grid&)>& unwanted) {
   constexpr int kLooks = 3;
-  constexpr double kWide = 1.5;     // of what the fewest hypotheses span
-  constexpr double kUnseen = 1.5;   // alike
+  constexpr double kUnseen = 1.5;   // of what the fewest hypotheses span
   constexpr double kFurther = 0.7;  // a range is looked at again where no more of it would remain
   const Rest rest(scene);
   const double enough = rest.enough(model.config()), margin = rest.margin();
   rpc::HeightRange range = scene.z_range;
-  if (!rest.worth(range) || range.span() < kWide * enough) return range;
+  if (!rest.worth(range)) return range;
   Index largest = 0;
   for (const scene::View& v : scene.views) largest = std::max({largest, v.height(), v.width()});
   const Unwanted left_out(unwanted, scene);
@@ -248,6 +284,7 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
 std::optional<rpc::HeightRange> range_left(const nn::ModelConfig& config, const scene::Scene& scene,
                                            const nn::NetworkInput& input,
                                            const nn::StageHeights<float>& first,
+                                           const std::function<rpc::HeightRange()>& look,
                                            const std::function<Tensor(const Grid&)>& unwanted) {
   constexpr double kMostly = 0.5;  // of the pixels agree, or what is left out proves nothing
   const Rest rest(scene);
@@ -257,6 +294,8 @@ std::optional<rpc::HeightRange> range_left(const nn::ModelConfig& config, const 
       agreed_heights(input, first.height.value(), nn::effective_confidence(config, first),
                      nn::kStrides[0], Unwanted(unwanted, scene));
   if (agreed.heights.size() < kFewest || agreed.share < kMostly) return std::nullopt;
+  if (look && rest.some_apart(agreed.heights))
+    if (const rpc::HeightRange looked = look(); rest.saves(looked, range)) return looked;
   return rest.last(range,
                    scene::believable_span(agreed.heights, range, scene::kLargestStep, kOnlyChance),
                    agreed.heights);

@@ -30,17 +30,29 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
                                 const std::function<void()>& poll = {},
                                 const std::function<Tensor(const Grid&)>& unwanted = {});
 
+/// Whether `narrowed_range` looks at all.
+bool looks_first(const nn::ModelConfig& config, const scene::Scene& scene);
+
+/// The same, however narrow the scene's range is.
+rpc::HeightRange looked_range(const nn::Model& model, const scene::Scene& scene,
+                              const std::function<void()>& poll = {},
+                              const std::function<Tensor(const Grid&)>& unwanted = {});
+
 /// What the first stage of the network leaves to the others of the range it searched, by the rules of
 /// the last look; nothing where that would save less than 15 %, where the range is less than six margins
-/// or where views agree at less than half of the pixels, or at hardly any. Costs no search.
+/// or where views agree at less than half of the pixels, or at hardly any. Costs no search, but asks for
+/// a look where some of the heights on which views agree lie apart from the others: they may be towers,
+/// or a roof without texture, which looks alike at all heights and gets the same in every view.
 /// scene     of the views, whose `z_agreed` is kept
 /// input     windows of all of them
 /// first     what the first stage found there
+/// look      what `looked_range` leaves of the scene's range; may be empty
 /// unwanted  as above
 /// returns   a part of `input.z_range`, local m
 std::optional<rpc::HeightRange> range_left(const nn::ModelConfig& config, const scene::Scene& scene,
                                            const nn::NetworkInput& input,
                                            const nn::StageHeights<float>& first,
+                                           const std::function<rpc::HeightRange()>& look = {},
                                            const std::function<Tensor(const Grid&)>& unwanted = {});
 
 }  // namespace satsurf::reconstruct

@@ -201,6 +201,12 @@ scene::Scene narrowed(const nn::Model& model, const scene::Scene& scene,
   return out;
 }
 
+/// Whether the first stage may ask for the look that was not taken.
+bool may_look(const nn::Model& model, const scene::Scene& whole,
+              const ReconstructOptions& options) {
+  return options.look && !looks_first(model.config(), whole);
+}
+
 /// The surfels of all tiles, and what fusing them needs.
 struct Gathered {
   splat::Surfels surfels;
@@ -220,14 +226,17 @@ Ground opened(Ground tile, const Ground& all) {
 }
 
 /// Runs the network over the tiles.
-/// surface  that will be made of the surfels, not automatic
-/// out      takes what is known of the images and the work
+/// surface   that will be made of the surfels, not automatic
+/// may_look  at smaller images, if it was not before
+/// out       takes what is known of the images and the work
 Gathered gather(const nn::Model& model, const scene::Scene& scene, const ReconstructPlan& plan,
-                Surface surface, const ReconstructOptions& options, Reconstruction& out) {
+                Surface surface, bool may_look, const ReconstructOptions& options,
+                Reconstruction& out) {
   std::vector<splat::Surfels> parts;
   Gathered all;
   Evidence evidence;
   const bool weighed = surface != Surface::splat;
+  std::optional<rpc::HeightRange> looked;  // once for all tiles
   for (std::size_t t = 0; t < plan.tiles.size(); ++t) {
     const auto poll = [&] {
       if (options.progress)
@@ -239,9 +248,15 @@ Gathered gather(const nn::Model& model, const scene::Scene& scene, const Reconst
     out.camera_fit_max_px = std::max(out.camera_fit_max_px, worst_fit(crop.input));
     std::vector<nn::PartMemory> memory;
     rpc::HeightRange range = scene.z_range;
+    const auto look = [&] {
+      if (!looked) looked = looked_range(model, scene, poll, options.unwanted);
+      return *looked;
+    };
     const auto stages = model.forward(
         crop.input, poll, &memory, wanted_of(surface), [&](const nn::StageHeights<float>& first) {
-          const auto left = range_left(model.config(), scene, crop.input, first, options.unwanted);
+          const auto left =
+              range_left(model.config(), scene, crop.input, first,
+                         may_look ? look : std::function<rpc::HeightRange()>(), options.unwanted);
           range = left.value_or(range);
           return left;
         });
@@ -322,7 +337,8 @@ Reconstruction reconstruct(const nn::Model& model, const scene::Scene& whole,
   const ReconstructPlan plan = plan_reconstruction(model.config(), scene, options);
   check_memory(plan, scene);
   Reconstruction out;
-  Gathered all = gather(model, scene, plan, surface_kind(options), options, out);
+  Gathered all = gather(model, scene, plan, surface_kind(options), may_look(model, whole, options),
+                        options, out);
   const auto report = [&](double fraction) {
     if (options.progress) options.progress("surface", fraction);
   };
@@ -363,7 +379,8 @@ UnrefinedSurface unrefined_surface(const nn::Model& model, const scene::Scene& w
   const ReconstructPlan plan = plan_reconstruction(model.config(), scene, how);
   check_memory(plan, scene);
   Reconstruction made;
-  const Gathered all = gather(model, scene, plan, Surface::refined, how, made);
+  const Gathered all =
+      gather(model, scene, plan, Surface::refined, may_look(model, whole, options), how, made);
   return {input_of(all, made), all.cells.east, all.cells.north, all.cells.step};
 }
 

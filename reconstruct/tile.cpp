@@ -158,7 +158,7 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
       },
       options.unwanted);
   ReconstructOptions how = options;
-  how.grid = grid, how.look = false, how.mesh = {};
+  how.grid = grid, how.look = !looks_first(model.config(), part.scene), how.mesh = {};
   Windows windows = windows_for(scene, ground, static_cast<double>(tiling.overlap) * grid.step,
                                 tiling.window, nn::size_multiple(model.config()));
   how.window = windows.size, how.places = std::move(windows.places);

@@ -1,11 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/rng.h"
+#include "satsurf/nn/hypotheses.h"
 #include "satsurf/nn/weights_file.h"
 #include "satsurf/reconstruct/narrow.h"
 #include "satsurf/reconstruct/reconstruct.h"
+#include "satsurf/scene/crop.h"
 #include "satsurf/scene/view_geometry.h"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
+#include <utility>
 #include <vector>
 
 #include "tests/reconstruct/simulated.h"
@@ -131,6 +136,71 @@ TEST_CASE("the first stage leaves of a range what the surface needs") {
   spoil_left(scene.views[1], 0.6);
   spoil_left(scene.views[2], 0.6);
   CHECK(left_of().span() == doctest::Approx(scene.z_range.span()));
+}
+
+TEST_CASE("heights apart from the others are looked at again") {
+  // Level ground, and on a tenth of it a roof that every view puts at the same height.
+  const scene::Scene scene = village_scene(320, {-20, 100});
+  const nn::ModelConfig config = nn::model_preset("base8");
+  const std::array<double, 3> middle =
+      scene.frame.local_from_geodetic(scene.views[0].rpc.localize({160, 160}, scene.frame.h0));
+  const scene::Crop crop =
+      scene::make_crop(scene, {.sources = {0, 1, 2},
+                               .centre = {middle[0], middle[1], scene.z_range.low + 20},
+                               .size = {320, 320},
+                               .z_range = scene.z_range});
+  const Index stride = nn::kStrides[0], side = 320 / stride;
+  const double ground = scene.z_range.low + 20;
+  const auto first_with = [&](double roof, double metres) {
+    Tensor heights({3, side, side});
+    for (Index i = 0; i < heights.count(); ++i) {
+      const nn::PosedImage& view = crop.input.sources[static_cast<std::size_t>(i / (side * side))];
+      const auto x = static_cast<double>(i % side * stride),
+                 y = static_cast<double>(i / side % side * stride);
+      const auto at = view.local_from_pixel(x, y, roof);
+      const bool on_roof =
+          std::abs(at[0] - middle[0]) < metres / 2 && std::abs(at[1] - middle[1]) < metres / 2;
+      heights[i] = static_cast<float>(on_roof ? roof : ground);
+    }
+    nn::StageHeights<float> first;
+    first.height = Var(std::move(heights));
+    first.choices = config.hypotheses[0];
+    first.confidence = Var(Tensor({3, side, side}, 0.9f));
+    first.joint_confidence = Tensor({3, side, side}, 0.9f);
+    return first;
+  };
+  int looks = 0;
+  rpc::HeightRange looked = scene.z_range;
+  const auto left = [&](const nn::StageHeights<float>& first) {
+    looks = 0;
+    return range_left(config, scene, crop.input, first, [&] {
+      ++looks;
+      return looked;
+    });
+  };
+  // nothing apart: what is left is cut without a look
+  const auto flat = left(first_with(ground, 0));
+  REQUIRE(flat.has_value());
+  CHECK(looks == 0);
+  CHECK(flat->high < ground + 30);
+  // a step of 4 m is no gap
+  left(first_with(ground + 4, 40));
+  CHECK(looks == 0);
+  // a roof at the upper end: what the look leaves counts, above and below alike
+  looked = {ground - 10, ground + 20};
+  CHECK(left(first_with(scene.z_range.high - 3, 40)) == looked);
+  CHECK(looks == 1);
+  CHECK(left(first_with(scene.z_range.low + 1, 40)) == looked);
+  CHECK(looks == 1);
+  // a look that finds the roof, too, changes nothing: the first stage's own cut remains
+  looked = scene.z_range;
+  const auto tower = left(first_with(ground + 40, 40));
+  CHECK(looks == 1);
+  REQUIRE(tower.has_value());
+  CHECK(tower->high >= ground + 40);
+  CHECK(tower->high < scene.z_range.high);
+  // without one to take all goes on alike
+  CHECK(range_left(config, scene, crop.input, first_with(ground + 40, 40)) == tower);
 }
 
 TEST_CASE("a range is left alone that is hardly more than the margins") {
