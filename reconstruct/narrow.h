@@ -33,7 +33,7 @@ rpc::HeightRange narrowed_range(const nn::Model& model, const scene::Scene& scen
 /// Whether `narrowed_range` looks at all.
 bool looks_first(const nn::ModelConfig& config, const scene::Scene& scene);
 
-/// The same, however narrow the scene's range is.
+/// `narrowed_range`, but it looks at any range of six margins or more, however few hypotheses that takes.
 rpc::HeightRange looked_range(const nn::Model& model, const scene::Scene& scene,
                               const std::function<void()>& poll = {},
                               const std::function<Tensor(const Grid&)>& unwanted = {});
