@@ -12,7 +12,7 @@ set(satsurf_internal_headers
   "/mesh/(geometry|sampled_view)\\.h$"
   "/scene/(believable_span|grey_pyramid|height_sweep|ray_walk|satnerf|sight_lines|whu)\\.h$"
   "/scene/simulate/(city|conditions|develop|draw|dress|given|layout|natural|noise|orbit|render|texture)\\.h$"
-  "/reconstruct/(cast|cell_count|cell_mode|cell_slopes|cell_surfels|cross_check|fusion|horizon|level_water|narrow|quantile|shown_place|surface_input|tile_cut|trust)\\.h$"
+  "/reconstruct/(cast|cell_count|cell_links|cell_mode|cell_slopes|cell_surfels|cross_check|fusion|horizon|level_water|narrow|quantile|shown_place|surface_input|tile_cut|trust|untextured)\\.h$"
   "/train/(draw|sample_batch)\\.h$"
   "/evaluate/score_views\\.h$")
 # Of the readers' room the engine has the cameras alone.

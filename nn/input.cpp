@@ -8,9 +8,15 @@
 
 namespace satsurf::nn {
 
-template <class T>
-BasicTensor<T> standardised(const PosedImage& v) {
-  const Index H = v.rgb.dim(1), W = v.rgb.dim(2), P = H * W;
+namespace {
+
+/// What takes an image to zero mean and a deviation of almost 1.
+struct Levels {
+  double mean, factor;
+};
+
+Levels levels_of(const PosedImage& v) {
+  const Index P = v.valid.count();
   double sum = 0, squares = 0, count = 0;
   for (Index c = 0; c < 3; ++c)
     for (Index i = 0; i < P; ++i) {
@@ -23,12 +29,26 @@ BasicTensor<T> standardised(const PosedImage& v) {
   const double mean = count > 0 ? sum / count : 0;
   const double variance = count > 0 ? std::max(squares / count - mean * mean, 0.0) : 0;
   constexpr double kFlat = 1e-3;
-  const double inverse = 1 / (std::sqrt(variance) + kFlat);
+  return {mean, 1 / (std::sqrt(variance) + kFlat)};
+}
+
+}  // namespace
+
+double standardised_black(const PosedImage& v) {
+  const Levels levels = levels_of(v);
+  return -levels.mean * levels.factor;
+}
+
+template <class T>
+BasicTensor<T> standardised(const PosedImage& v) {
+  const Index H = v.rgb.dim(1), W = v.rgb.dim(2), P = H * W;
+  const Levels levels = levels_of(v);
   auto out = BasicTensor<T>::uninitialised({1, 3, H, W});
   for_each_index(3 * H, [&](Index row) {
     for (Index i = row * W; i < (row + 1) * W; ++i)
-      out[i] = v.valid[i % P] > 0 ? static_cast<T>((static_cast<double>(v.rgb[i]) - mean) * inverse)
-                                  : T(0);
+      out[i] = v.valid[i % P] > 0
+                   ? static_cast<T>((static_cast<double>(v.rgb[i]) - levels.mean) * levels.factor)
+                   : T(0);
   });
   return out;
 }

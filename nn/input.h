@@ -24,6 +24,9 @@ struct PosedImage {
 template <class T>
 BasicTensor<T> standardised(const PosedImage& view);
 
+/// What 0 becomes in a standardised image.
+double standardised_black(const PosedImage& view);
+
 /// Brightness against its surroundings, which neither gain, offset nor a shadow's edge far away
 /// change: the mean of the channels minus its mean over the valid pixels of a window of 15 x 15,
 /// by their deviation and 0.01, within [-4, 4]. Invalid pixels become 0.

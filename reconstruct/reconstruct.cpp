@@ -3,6 +3,7 @@
 
 #include "satsurf/core/block_pool.h"
 #include "satsurf/core/memory.h"
+#include "satsurf/core/parallel.h"
 #include "satsurf/nn/surfel_head.h"
 #include "satsurf/ops/concat.h"
 #include "satsurf/reconstruct/cast.h"
@@ -13,6 +14,7 @@
 #include "satsurf/reconstruct/shown_place.h"
 #include "satsurf/reconstruct/surface_input.h"
 #include "satsurf/reconstruct/trust.h"
+#include "satsurf/reconstruct/untextured.h"
 #include "satsurf/scene/believable_span.h"
 #include "satsurf/scene/crop.h"
 #include "satsurf/splat/select.h"
@@ -292,6 +294,22 @@ nn::SurfaceInput input_of(const Gathered& all, const Reconstruction& made) {
                        made.images);
 }
 
+/// Logarithms of the cells' colours above black, [3 H W].
+Tensor log_colours(const nn::SurfaceInput& input, const std::vector<nn::PosedImage>& images) {
+  constexpr float kDarkest = 1e-3f;  // of an image's standard deviation
+  double black = 0;
+  for (const nn::PosedImage& image : images)
+    black += nn::standardised_black(image) / static_cast<double>(images.size());
+  const Index H = input.planes.dim(1), W = input.planes.dim(2);
+  auto out = Tensor::uninitialised({3, H, W});
+  const float* colours = input.planes.data() + static_cast<Index>(nn::SurfacePlane::red) * H * W;
+  for_range(out.count(), 1 << 14, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i)
+      out[i] = std::log(std::max(colours[i] - static_cast<float>(black), kDarkest));
+  });
+  return out;
+}
+
 /// The surface as the network makes it, where two images or more show it. Its confidence is that of the
 /// surfels times the share of them that agree, 0 in the holes that the network filled: what it guessed
 /// there, and where fewer than two images show the densest mode, is kept if they show it lower, too.
@@ -319,6 +337,7 @@ FusedSurface refined(const ReconstructOptions& options, const Gathered& all, Rec
   }
   if (options.level_water)
     made.levelled = level_water(out.heights, made.sigma, surface.doubt, out.confidence, cells.step);
+  even_untextured(out.heights, made.sigma, log_colours(input, made.images), cells.step);
   return out;
 }
 
