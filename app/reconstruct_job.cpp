@@ -179,9 +179,9 @@ nlohmann::json height_agreement(const SurfaceFacts& facts) {
   return static_cast<double>(facts.agreed) / static_cast<double>(facts.compared);
 }
 
-/// Ground that got the height of a shore, m².
-double area_levelled(const SurfaceFacts& facts) {
-  return static_cast<double>(facts.levelled) * facts.resolution * facts.resolution;
+/// Ground of a number of cells, m².
+double area(const SurfaceFacts& facts, Index cells) {
+  return static_cast<double>(cells) * facts.resolution * facts.resolution;
 }
 
 }  // namespace
@@ -206,6 +206,7 @@ reconstruct::ReconstructOptions ReconstructJob::how(const rpc::LocalFrame& frame
   out.network = networks.surface ? &*networks.surface : nullptr;
   out.resolution = options.resolution;
   out.level_water = options.water == Water::level;
+  out.even_untextured = options.untextured == Untextured::even;
   out.max_memory = max_memory;
   if (rules.mask)
     out.unwanted = [mask = rules.mask, frame](const reconstruct::Grid& grid) {
@@ -310,7 +311,8 @@ nlohmann::json results_json(const SurfaceFacts& facts, const scene::UserScene& u
           {"lowest", facts.heights.low},
           {"highest", facts.heights.high},
           {"mean_confidence", facts.mean_confidence},
-          {"levelled_area", area_levelled(facts)},
+          {"levelled_area", area(facts, facts.levelled)},
+          {"evened_area", area(facts, facts.evened)},
           {"image_correlation", facts.image_correlation},
           {"height_agreement", height_agreement(facts)},
           {"surfels", facts.surfels},
@@ -331,7 +333,10 @@ void print_summary(const SurfaceFacts& facts, const scene::Scene& scene, double 
   std::printf("completeness  %.1f %%\n", 100 * facts.completeness);
   std::printf("confidence    %.3f on average\n", facts.mean_confidence);
   if (facts.levelled > 0)
-    std::printf("water         %.0f m² made level with the shore\n", area_levelled(facts));
+    std::printf("water         %.0f m² made level with the shore\n", area(facts, facts.levelled));
+  if (facts.evened > 0)
+    std::printf("untextured    %.0f m² in doubt go along with their rims\n",
+                area(facts, facts.evened));
   std::printf("surfels       %td from %zu images in %td tile%s\n", facts.surfels,
               scene.views.size(), facts.tiles, facts.tiles == 1 ? "" : "s");
   if (!facts.mesh.is_null())

@@ -127,7 +127,7 @@ struct SurfaceFacts {
   std::string crs;  ///< of the rasters
   Index rows = 0, columns = 0, surfels = 0, tiles = 0;
   Index compared = 0, agreed = 0;                        ///< see Reconstruction
-  Index levelled = 0;                                    ///< cells, those that tiles share in each
+  Index levelled = 0, evened = 0;                        ///< cells, those that tiles share in each
   rpc::HeightRange searched;                             ///< heights above the ellipsoid, m
   rpc::HeightRange heights;                              ///< lowest and highest cell, likewise
   nlohmann::ordered_json mesh;                           ///< null without one

@@ -17,6 +17,8 @@ namespace satsurf::app {
 enum class MeshKind { tsdf, none };
 /// What becomes of water: a level surface, or what was found.
 enum class Water { level, found };
+/// What becomes of untextured places in doubt: they go along with their rims, or what was found.
+enum class Untextured { even, found };
 /// What the heights of dsm.tif are above.
 enum class Geoid { none, egm96, egm2008 };
 /// The same for a raster.
@@ -36,6 +38,10 @@ struct satsurf::EnumNames<satsurf::app::MeshKind> {
 template <>
 struct satsurf::EnumNames<satsurf::app::Water> {
   static constexpr std::array names{"level", "found"};
+};
+template <>
+struct satsurf::EnumNames<satsurf::app::Untextured> {
+  static constexpr std::array names{"even", "found"};
 };
 template <>
 struct satsurf::EnumNames<satsurf::app::Geoid> {
@@ -67,6 +73,7 @@ struct ReconstructConfig {
   std::string pointing = "shift";  ///< "shift", "affine", "off" or a file
   reconstruct::Surface surface = reconstruct::Surface::automatic;
   Water water = Water::level;
+  Untextured untextured = Untextured::even;
   double resolution = 0;     ///< m, 0 for the images' own
   std::string crs = "auto";  ///< of the rasters: "auto", a code, WKT or a string of PROJ
   Geoid geoid = Geoid::none;
@@ -128,6 +135,11 @@ struct ReconstructConfig {
               "what becomes of water, and of other areas of 2000 m² and more where no image tells "
               "the height: level gives them the height of their shore where that is level, found "
               "leaves what was found; of refined surfaces"});
+    v("untextured", s.untextured,
+      Field{.help = "what becomes of roofs and sealed ground without texture, whose heights the "
+                    "images do not tell: even lets what is in doubt go along with the sure heights "
+                    "around it, as far as the colour goes, found leaves what was found; of refined "
+                    "surfaces"});
     v("resolution", s.resolution,
       Field{.help = "cell of the surface",
             .unit = "m",
@@ -307,6 +319,7 @@ inline std::vector<WrittenFile> told_by_reconstruct() {
       {"mean_confidence", "0 to 1"},
       {"levelled_area",
        "m² that got the height of their shore, see --water; where tiles overlap, of each"},
+      {"evened_area", "m² in doubt and without texture, see --untextured; alike"},
       {"image_correlation",
        "-1 to 1, mean of every two images where they show the surface: wrong cameras and heights "
        "lower it; small differences decide nothing"},

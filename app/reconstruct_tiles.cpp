@@ -298,7 +298,7 @@ class TileMaker {
       for (const scene::View& view : part.scene.views) record.views.push_back(view.name);
       record.found = surface->found, record.expected = surface->expected;
       record.compared = surface->compared, record.agreed = surface->agreed;
-      record.levelled = surface->levelled;
+      record.levelled = surface->levelled, record.evened = surface->evened;
       record.window = surface->window, record.z_range = surface->z_range;
       record.camera_fit_max_px = surface->camera_fit_max_px;
       if (!surface->surfels.means.empty()) {
@@ -383,6 +383,7 @@ SurfaceFacts facts_of(const Tiling& tiling, const std::vector<TileRecord>& recor
   for (const TileRecord& r : records) {
     found += r.found, expected += r.expected, facts.surfels += r.surfels;
     facts.compared += r.compared, facts.agreed += r.agreed, facts.levelled += r.levelled;
+    facts.evened += r.evened;
     facts.camera_fit_max_px = std::max(facts.camera_fit_max_px, r.camera_fit_max_px);
     if (r.status != "done") continue;
     searched = hull(searched, r.z_range);

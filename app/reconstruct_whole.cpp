@@ -174,6 +174,7 @@ SurfaceFacts facts_of(const reconstruct::Reconstruction& made) {
   facts.rows = made.dsm.z.dim(0), facts.columns = made.dsm.z.dim(1);
   facts.surfels = made.surfels.means.dim(0), facts.tiles = made.tiles;
   facts.compared = made.compared, facts.agreed = made.agreed, facts.levelled = made.levelled;
+  facts.evened = made.evened;
   facts.searched = made.frame.heights_from_z(made.z_range);
   facts.planned_memory_bytes = made.planned_memory_bytes;
   return facts;

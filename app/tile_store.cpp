@@ -248,6 +248,7 @@ std::optional<TileRecord> TileStore::find(const reconstruct::Tile& tile) const {
   out.compared = record.count("compared", 0, kMostCompared);
   out.agreed = record.count("agreed", 0, out.compared);
   out.levelled = record.count("levelled", 0, tile.all.height() * tile.all.width());
+  out.evened = record.count("evened", 0, tile.all.height() * tile.all.width());
   const Index least = done ? 1 : 0;
   out.window = {record.count("window_height", least, kLargest),
                 record.count("window_width", least, kLargest)};
@@ -286,6 +287,7 @@ void TileStore::save(const reconstruct::Tile& tile, const TileRecord& record,
                          {"compared", record.compared},
                          {"agreed", record.agreed},
                          {"levelled", record.levelled},
+                         {"evened", record.evened},
                          {"window_height", record.window.height},
                          {"window_width", record.window.width},
                          {"surfels", record.surfels},

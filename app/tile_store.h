@@ -18,7 +18,7 @@ struct TileRecord {
   double seconds = 0;
   Index found = 0, expected = 0, surfels = 0;
   Index compared = 0, agreed = 0;  ///< see Reconstruction
-  Index levelled = 0;              ///< see TileSurface
+  Index levelled = 0, evened = 0;  ///< see TileSurface
   scene::WindowSize window;        ///< px
   rpc::HeightRange z_range;        ///< that was searched, local m
   double camera_fit_max_px = 0;

@@ -36,12 +36,12 @@ class LinkedCells {
   Eigen::VectorXd evened(const Eigen::VectorXd& found, const Eigen::VectorXd& guess) const;
 
  private:
-  using Matrix = Eigen::SparseMatrix<double, Eigen::RowMajor, std::ptrdiff_t>;
+  using Matrix = Eigen::SparseMatrix<double, Eigen::RowMajor>;
   struct Level {
     Matrix matrix;
     Eigen::VectorXd inverse_diagonal;
-    std::vector<Eigen::Index>
-        square;  ///< of the next level that each number is in; empty in the last
+    /// Of the next level, that each number is in; empty in the last.
+    std::vector<Eigen::Index> square;
   };
 
   static Eigen::VectorXd product(const Matrix& matrix, const Eigen::VectorXd& x);

@@ -76,8 +76,9 @@ struct ReconstructOptions {
   /// Says of cells, [H W], which lie on ground that is not wanted, by 1: they stay unknown, have no
   /// surfels, and their heights do not count where the range is narrowed. May be empty.
   std::function<Tensor(const Grid&)> unwanted;
-  bool level_water = true;  ///< of a refined surface, see `level_water`
-  bool look = true;         ///< for a narrower range of heights, see `narrowed_range`, `range_left`
+  bool level_water = true;      ///< of a refined surface, see `level_water`
+  bool even_untextured = true;  ///< alike, see `even_untextured`
+  bool look = true;  ///< for a narrower range of heights, see `narrowed_range`, `range_left`
   /// Voxel of the mesh that will be made of it, m, 0 for two ground pixels; none without a mesh.
   std::optional<double> mesh;
   /// Bytes of the whole program beyond which no mesh will be made, 0 for any.

@@ -313,7 +313,7 @@ Tensor log_colours(const nn::SurfaceInput& input, const std::vector<nn::PosedIma
 /// The surface as the network makes it, where two images or more show it. Its confidence is that of the
 /// surfels times the share of them that agree, 0 in the holes that the network filled: what it guessed
 /// there, and where fewer than two images show the densest mode, is kept if they show it lower, too.
-/// made  its images are whole; gets the expected errors and what became level
+/// made  its images are whole; gets the expected errors, and what became level and even
 FusedSurface refined(const ReconstructOptions& options, const Gathered& all, Reconstruction& made) {
   const nn::SurfaceInput input = input_of(all, made);
   nn::RefinedSurface surface = nn::refined(*options.network, input);
@@ -335,9 +335,12 @@ FusedSurface refined(const ReconstructOptions& options, const Gathered& all, Rec
                                           static_cast<double>(surface.doubt[i])))
       out.heights[i] = out.confidence[i] = made.sigma[i] = surface.doubt[i] = std::nanf("");
   }
+  // first, so that a roof in doubt stands above the street again before that is taken for its shore
+  if (options.even_untextured)
+    made.evened =
+        even_untextured(out.heights, made.sigma, log_colours(input, made.images), cells.step);
   if (options.level_water)
     made.levelled = level_water(out.heights, made.sigma, surface.doubt, out.confidence, cells.step);
-  even_untextured(out.heights, made.sigma, log_colours(input, made.images), cells.step);
   return out;
 }
 

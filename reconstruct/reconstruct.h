@@ -27,6 +27,7 @@ struct Reconstruction {
   /// a pixel of parallax, see `surfel_evidence`; 0 for a splatted surface.
   Index compared = 0, agreed = 0;
   Index levelled = 0;       ///< cells that got the height of a shore, see `level_water`
+  Index evened = 0;         ///< cells in doubt and without texture, see `even_untextured`
   double voxel = 0;         ///< see ReconstructPlan
   double completeness = 0;  ///< share of the common footprint's cells that got a height
   /// Largest distance between a camera and the quadratics that stood in for it, px. Above 0.1 it

@@ -167,6 +167,7 @@ TileSurface reconstruct_tile(const nn::Model& model, const scene::WindowedScene&
   out.empty = false;
   out.z_range = made.z_range, out.camera_fit_max_px = made.camera_fit_max_px;
   out.compared = made.compared, out.agreed = made.agreed, out.levelled = made.levelled;
+  out.evened = made.evened;
   out.window = how.window;
   Visibility seen = find_visibility(made.dsm, made.images, exposures.among(part.views));
   out.ortho = orthophoto(made.dsm, made.images, seen,

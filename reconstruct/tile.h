@@ -22,7 +22,7 @@ struct TileSurface {
   Index found = 0;                 ///< cells of the core, and inside, with a height
   Index expected = 0;              ///< and those two views show
   Index compared = 0, agreed = 0;  ///< see Reconstruction
-  Index levelled = 0;              ///< cells, of the core and what it shares, see `level_water`
+  Index levelled = 0, evened = 0;  ///< cells, of the core and what it shares, see Reconstruction
   double camera_fit_max_px = 0;
 };
 

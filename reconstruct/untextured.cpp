@@ -14,12 +14,12 @@ namespace satsurf::reconstruct {
 namespace {
 
 constexpr double kRadius = 5;             // m, half a square
-constexpr float kUntextured = 0.03f;      // standard deviation of log colours: relative
+constexpr float kUntextured = 0.03f;      // standard deviation of log colours
 constexpr float kLeastShare = 0.2f;       // of a square's cells that are in doubt
 constexpr double kDoubt = 1, kWhole = 2;  // expected errors, m
 constexpr double kPull = 30;              // of neighbours, m^-2
 constexpr double kLeastPull = 1e-3;       // m^-2, below which neighbours are none
-constexpr double kColour = 0.04;          // alike, of an edge
+constexpr double kColour = 0.04;          // difference of log colours at an edge
 constexpr double kEdge = 3;               // m
 constexpr double kLeastSigma = 0.15;      // m, less is too good to be true
 constexpr int kPasses = 3;

@@ -30,7 +30,7 @@ reconstruct::TileSurface surface() {
 TileRecord record() {
   TileRecord out;
   out.status = "done", out.seconds = 1.5, out.found = 11, out.expected = 12, out.levelled = 9,
-  out.compared = 40, out.agreed = 30, out.window = {256, 192};
+  out.evened = 7, out.compared = 40, out.agreed = 30, out.window = {256, 192};
   out.z_range = {-3.25, 17.125}, out.views = {"a", "b"};
   return out;
 }
@@ -55,6 +55,7 @@ TEST_CASE("a finished tile is found again, with all that is known of it") {
   CHECK(found->compared == 40);
   CHECK(found->agreed == 30);
   CHECK(found->levelled == 9);
+  CHECK(found->evened == 7);
   CHECK(found->window == scene::WindowSize{256, 192});
   CHECK(found->z_range.high == 17.125);
   const reconstruct::TileSurface loaded = store.load(kTile);
@@ -171,6 +172,7 @@ TEST_CASE("a damaged record of a tile is named for what is wrong in it") {
   says("\"expected\":12", "\"expected\":13", "expected is 13, expected 0 to 12");
   says("\"agreed\":30", "\"agreed\":41", "agreed is 41, expected 0 to 40");
   says("\"levelled\":9", "\"levelled\":57", "levelled is 57, expected 0 to 56");
+  says("\"evened\":7", "\"evened\":57", "evened is 57, expected 0 to 56");
   says("\"seconds\":1.5", "\"seconds\":-1e300", "seconds is -1e+300, expected 0 to 1e+09");
   says("\"window_height\":256", "\"window_height\":0", "window_height is 0, expected 1 to 1048576");
   says("[-3.25,17.125]", "[1e300,-1e300]",

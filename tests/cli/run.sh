@@ -202,6 +202,15 @@ holds "it records how much" grep -qE '"levelled_area": [0-9]{5}' lake_level/run.
 succeeds "water as it is found" "$satsurf" reconstruct lake/Track3-RGB/*.tif --water found --out lake_found --mesh none --report none --quiet
 holds "nothing is made level" grep -qE '"levelled_area": 0.0' lake_found/run.json
 holds "and nothing said of it" test -z "$(grep ^water stdout)"
+succeeds "simulating a hall" "$satsurf" simulate --out hall --scenes 1 --water 0 --kinds industrial --pixels 288 --views 3 --gsd 0.5 --seed 4 --quiet
+succeeds "a roof of one colour" "$satsurf" reconstruct hall/Track3-RGB/*.tif --out hall_even --mesh none --report none --quiet
+holds "it goes along with its rim" grep -qE "^untextured +[0-9]{4} m² in doubt go along with their rims$" stdout
+holds "it records how much" grep -qE '"evened_area": [0-9]{4}' hall_even/run.json
+succeeds "a roof as it is found" "$satsurf" reconstruct hall/Track3-RGB/*.tif --untextured found --out hall_found --mesh none --report none --quiet
+holds "nothing is evened out" grep -qE '"evened_area": 0.0' hall_found/run.json
+holds "and nothing said of it" test -z "$(grep ^untextured stdout)"
+hall_error() { "$satsurf" evaluate --dsm $1/dsm.tif --truth hall/Track3-Truth/SIM_001_DSM.tif | sed -n 's/^raw  *MAE  *\([0-9.]*\) m.*/\1/p'; }
+holds "evened out it is nearer the truth" awk "BEGIN { exit !($(hall_error hall_even) + 0.05 < $(hall_error hall_found)) }"
 succeeds "shifts from a file" "$satsurf" reconstruct "${images[@]}" --out shifted --weights $weights --mesh none --pointing out/pointing.json --quiet
 holds "its shifts are those of the file" \
   diff <(grep shift_ out/pointing.json) <(grep shift_ shifted/pointing.json)

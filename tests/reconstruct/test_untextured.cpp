@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/core/error.h"
 #include "satsurf/core/rng.h"
+#include "satsurf/reconstruct/level_water.h"
 #include "satsurf/reconstruct/untextured.h"
 
 #include <algorithm>
@@ -98,6 +99,28 @@ TEST_CASE("roofs of two colours keep their heights, and holes part nothing") {
       CHECK(hall.heights[i] == doctest::Approx(i % N < N / 2 ? 10 : 16).epsilon(0.05));
     }
   }
+}
+
+// A street around a roof is as level as a shore, and of heights that are found anywhere some lie as low.
+TEST_CASE("a roof that is evened out first is not taken for water") {
+  constexpr Index M = 160;
+  Tensor heights({M, M}, 0.f), sigma({M, M}, 0.3f), confidence({M, M}, 0.8f), colours({1, M, M});
+  Rng rng(2);
+  for (Index i = 0; i < M * M; ++i) {
+    colours[i] = static_cast<float>(rng.uniform(-0.5, 0.5));
+    if (std::min(i / M, i % M) < 30 || std::max(i / M, i % M) >= 130) continue;
+    colours[i] = -1, heights[i] = static_cast<float>(rng.uniform(-1, 13));
+    sigma[i] = 8, confidence[i] = 0.1f;
+  }
+  const auto levelled = [&](const Tensor& z, const Tensor& s) {
+    Tensor level = z.clone(), error = s.clone(), doubt = sigma.clone();
+    return reconstruct::level_water(level, error, doubt, confidence, kStep);
+  };
+  CHECK(levelled(heights, sigma) == 100 * 100);
+  Tensor evened = heights.clone(), error = sigma.clone();
+  CHECK(reconstruct::even_untextured(evened, error, colours, kStep) == 100 * 100);
+  CHECK(evened[80 * M + 80] == doctest::Approx(6).epsilon(0.1));
+  CHECK(levelled(evened, error) == 0);
 }
 
 // All cells alike and in doubt: every two neighbours draw at one another with 30 d.
