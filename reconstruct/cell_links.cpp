@@ -95,7 +95,8 @@ Vector LinkedCells::cycle(std::size_t level, const Vector& right) const {
 }
 
 Vector LinkedCells::evened(const Vector& found, const Vector& guess) const {
-  // What is added to the values found: nothing where they draw at nobody, however large they are.
+  // Solved for what is added to the values found: the tolerance is then a share of that, and not of
+  // heights above some zero.
   const Matrix& A = levels_[0].matrix;
   const Vector right = weight_.cwiseProduct(found) - product(A, found);
   Vector added = guess - found;

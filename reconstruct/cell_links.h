@@ -10,7 +10,7 @@
 
 namespace satsurf::reconstruct {
 
-/// Two cells by their numbers that draw at one another, each pair once.
+/// Two cells, by their numbers, whose values are pulled together; each pair once.
 struct CellLink {
   Index a, b;
   double pull;  ///< positive
@@ -30,7 +30,7 @@ class LinkedCells {
   LinkedCells(const std::vector<Index>& cells, Index width, const std::vector<CellLink>& links,
               const Eigen::VectorXd& weight);
 
-  /// found    of each cell
+  /// found    value of each cell
   /// guess    what to begin with
   /// returns  x, but for 1e-4 of what there is to even out
   Eigen::VectorXd evened(const Eigen::VectorXd& found, const Eigen::VectorXd& guess) const;
