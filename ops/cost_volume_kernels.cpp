@@ -28,34 +28,50 @@ void add_to(T* p, const V& v) {
   store(p, load<V>(p) + v);
 }
 
-/// A square of four pixels by four channels.
-template <class T>
+/// A square of S pixels by S channels.
+template <class T, Index S>
 struct Square {
-  using Quad = Channels<T, 4>;
-  Quad rows[4];
+  using Row = Channels<T, S>;
+  Row rows[S];
 
   Square(const T* from, Index stride) {
-#pragma GCC unroll 4
-    for (Index i = 0; i < 4; ++i) rows[i] = load<Quad>(from + i * stride);
-    transpose<T, sizeof(Quad)>(rows);
+#pragma GCC unroll 8
+    for (Index i = 0; i < S; ++i) rows[i] = load<Row>(from + i * stride);
+    transpose<T, sizeof(Row)>(rows);
   }
 };
+
+/// Calls body.template operator()<S>(first, end) for the channels below C that are taken S at a time:
+/// eight while there are as many and a vector holds them, then four; and then <1> for what is left.
+template <class T, class Body>
+void by_squares(Index C, const Body& body) {
+  Index c = 0;
+  const auto run = [&]<Index S>() {
+    const Index end = c + (C - c) / S * S;
+    if (end > c) body.template operator()<S>(c, end);
+    c = end;
+  };
+  if constexpr (kLanes<T> >= 8) run.template operator()<8>();
+  run.template operator()<4>();
+  run.template operator()<1>();
+}
 
 /// Planes [C n] to pixels [n Cs]; channels C.. are left alone.
 template <class T>
 void gather_pixels(const T* planes, Index stride, Index n, Index C, Index Cs, T* pixels) {
-  const Index whole_n = n / 4 * 4, whole_C = C / 4 * 4;
-  for (Index c = 0; c < whole_C; c += 4) {
-    for (Index i = 0; i < whole_n; i += 4) {
-      const Square<T> square(planes + c * stride + i, stride);
-#pragma GCC unroll 4
-      for (Index k = 0; k < 4; ++k) store(pixels + (i + k) * Cs + c, square.rows[k]);
+  by_squares<T>(C, [&]<Index S>(Index first, Index end) {
+    const Index whole = S > 1 ? n / S * S : 0;
+    for (Index c = first; c < end; c += S) {
+      if constexpr (S > 1)
+        for (Index i = 0; i < whole; i += S) {
+          const Square<T, S> square(planes + c * stride + i, stride);
+#pragma GCC unroll 8
+          for (Index k = 0; k < S; ++k) store(pixels + (i + k) * Cs + c, square.rows[k]);
+        }
+      for (Index k = c; k < c + S; ++k)
+        for (Index i = whole; i < n; ++i) pixels[i * Cs + k] = planes[k * stride + i];
     }
-    for (Index k = c; k < c + 4; ++k)
-      for (Index i = whole_n; i < n; ++i) pixels[i * Cs + k] = planes[k * stride + i];
-  }
-  for (Index c = whole_C; c < C; ++c)
-    for (Index i = 0; i < n; ++i) pixels[i * Cs + c] = planes[c * stride + i];
+  });
 }
 
 /// Pixels [n Cs] to planes [C n], stored or added.
@@ -68,18 +84,19 @@ void scatter_pixels(const T* pixels, Index n, Index C, Index Cs, T* planes, Inde
     else
       store<V>(to, value);
   };
-  const Index whole_n = n / 4 * 4, whole_C = C / 4 * 4;
-  for (Index c = 0; c < whole_C; c += 4) {
-    for (Index i = 0; i < whole_n; i += 4) {
-      const Square<T> square(pixels + i * Cs + c, Cs);
-#pragma GCC unroll 4
-      for (Index k = 0; k < 4; ++k) put(planes + (c + k) * stride + i, square.rows[k]);
+  by_squares<T>(C, [&]<Index S>(Index first, Index end) {
+    const Index whole = S > 1 ? n / S * S : 0;
+    for (Index c = first; c < end; c += S) {
+      if constexpr (S > 1)
+        for (Index i = 0; i < whole; i += S) {
+          const Square<T, S> square(pixels + i * Cs + c, Cs);
+#pragma GCC unroll 8
+          for (Index k = 0; k < S; ++k) put(planes + (c + k) * stride + i, square.rows[k]);
+        }
+      for (Index k = c; k < c + S; ++k)
+        for (Index i = whole; i < n; ++i) put(planes + k * stride + i, pixels[i * Cs + k]);
     }
-    for (Index k = c; k < c + 4; ++k)
-      for (Index i = whole_n; i < n; ++i) put(planes + k * stride + i, pixels[i * Cs + k]);
-  }
-  for (Index c = whole_C; c < C; ++c)
-    for (Index i = 0; i < n; ++i) put(planes + c * stride + i, pixels[i * Cs + c]);
+  });
 }
 
 template <class T>
@@ -157,10 +174,16 @@ struct Sampler {
 
   /// Of each of `count` pixels 1 / n, or 0 where the variance is 0 by definition.
   void shares(Index count, T* out) const {
+    T counted[kSweepTile];
+    for (Index i = 0; i < count; ++i) counted[i] = s.reference_counts;
+    for (Index j = 0; j < J; ++j) {
+      const T* counts = s.taps[j].counts;
+      for (Index i = 0; i < count; ++i) counted[i] += counts[i];
+    }
     for (Index i = 0; i < count; ++i) {
-      T n = s.reference_counts;
-      for (Index j = 0; j < J; ++j) n += s.taps[j].counts[i];
-      out[i] = n >= 2 ? 1 / n : T(0);
+      const T some =
+          counted[i] > 1 ? counted[i] : T(1);  // so that no division waits to be asked for
+      out[i] = (some >= 2 ? T(1) : T(0)) * (1 / some);
     }
   }
   Index offset(Index j, Index i) const { return (s.taps[j].y[i] * s.W + s.taps[j].x[i]) * s.Cs; }
@@ -197,25 +220,30 @@ Channels<T, 4> quarters(const T* sums) {
 /// pixel as noise does, so nothing here branches on it.
 template <class T>
 void choose_pairs(const SweepRow<T>& s, Index begin, Index n, Index d, T* out) {
-  constexpr Index kPart = kDistanceParts;
-  static_assert(kPart + 1 == kPairChannels);
-  // of the best source so far; 0 before there is one
-  T distance[kPart][kSweepTile] = {}, least[kSweepTile] = {}, counted[kSweepTile] = {};
-  std::int32_t best[kSweepTile];
-  for (std::int32_t& b : best) b = -1;
+  constexpr Index kPart = kDistanceParts, L = kLanes<T>;
+  static_assert(kPart + 1 == kPairChannels && kSweepTile % L == 0);
+  using B = Batch<T>;
+  // of the best source so far; -1 is none. Behind pixel n is what was there before.
+  alignas(B) T planes[kPart][kSweepTile] = {}, distance[kPart][kSweepTile] = {}, least[kSweepTile],
+               counted[kSweepTile], best[kSweepTile];
+  for (Index i = 0; i < kSweepTile; ++i) least[i] = counted[i] = 0, best[i] = -1;
   for (Index j = 0; j < s.J; ++j) {
-    T planes[kPart][kSweepTile];
     scatter_pixels<false>(s.distances + j * kSweepTile * kPart, n, kPart, kPart, planes[0],
                           kSweepTile);
-    const T* counts = s.taps[j].counts;
-    for (Index i = 0; i < n; ++i) {
-      const T total = (planes[0][i] + planes[1][i]) + (planes[2][i] + planes[3][i]);
-      const bool better = static_cast<int>(counts[i] != 0) &
-                          (static_cast<int>(best[i] < 0) | static_cast<int>(total < least[i]));
-      least[i] = better ? total : least[i];
-      best[i] = better ? static_cast<std::int32_t>(j) : best[i];
-      for (Index k = 0; k < kPart; ++k) distance[k][i] = better ? planes[k][i] : distance[k][i];
-      counted[i] += counts[i];
+    const B source(static_cast<T>(j));
+    for (Index i = 0; i < n; i += L) {
+      const B counts = B::load_unaligned(s.taps[j].counts + i), before = B::load_aligned(best + i),
+              smallest = B::load_aligned(least + i);
+      B of[kPart];
+      for (Index k = 0; k < kPart; ++k) of[k] = B::load_aligned(planes[k] + i);
+      const B total = (of[0] + of[1]) + (of[2] + of[3]);
+      const auto better = (counts != B(T(0))) & ((before < B(T(0))) | (total < smallest));
+      xsimd::select(better, total, smallest).store_aligned(least + i);
+      xsimd::select(better, source, before).store_aligned(best + i);
+      for (Index k = 0; k < kPart; ++k)
+        xsimd::select(better, of[k], B::load_aligned(distance[k] + i))
+            .store_aligned(distance[k] + i);
+      (B::load_aligned(counted + i) + counts).store_aligned(counted + i);
     }
   }
   const Index step = s.D * s.plane;
@@ -229,10 +257,12 @@ void choose_pairs(const SweepRow<T>& s, Index begin, Index n, Index d, T* out) {
 
 /// Variances of n pixels to `s.tile` and, for pairs, distances to all sources to `s.distances`.
 template <class T, Index L, Index kJ, bool kPairs>
-void forward_tile(const SweepRow<T>& s, Index begin, Index n) {
+void forward_tile(const SweepRow<T>& row, Index begin, Index n) {
   using V = Channels<T, L>;
   constexpr Index kParts = kSums<L> / L;
+  const SweepRow<T> s = row;  // which no store below can change, as the compiler sees
   const Sampler<T, L, kJ> sampler{s};
+  const Index J = sampler.J;
   T shares[kSweepTile];
   sampler.shares(n, shares);
   V local[kJ > 0 ? kJ : 1];
@@ -247,20 +277,19 @@ void forward_tile(const SweepRow<T>& s, Index begin, Index n) {
       continue;
     }
     if constexpr (kPairs)
-      for (Index k = 0; k < sampler.J * kParts; ++k) sums[k] = V{};
+      for (Index k = 0; k < J * kParts; ++k) sums[k] = V{};
     for (Index c = 0; c < s.Cs; c += L) {
       const V own = load<V>(s.reference + (begin + i) * s.Cs + c);
       const V mean = sampler.mean(i, c, own, share, f);
       V total = (own - mean) * (own - mean) * s.reference_counts;
-      for (Index j = 0; j < sampler.J; ++j)
-        total += (f[j] - mean) * (f[j] - mean) * s.taps[j].counts[i];
+      for (Index j = 0; j < J; ++j) total += (f[j] - mean) * (f[j] - mean) * s.taps[j].counts[i];
       store<V>(to + c, total * share);
       if constexpr (kPairs)
-        for (Index j = 0; j < sampler.J; ++j)
+        for (Index j = 0; j < J; ++j)
           sums[j * kParts + c / L % kParts] += (own - f[j]) * (own - f[j]);
     }
     if constexpr (kPairs)
-      for (Index j = 0; j < sampler.J; ++j) {
+      for (Index j = 0; j < J; ++j) {
         const auto* of_source = reinterpret_cast<const T*>(sums + j * kParts);
         store(s.distances + (j * kSweepTile + i) * kDistanceParts, quarters<L>(of_source));
       }
