@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <vector>
 
 namespace satsurf::nn {
 
@@ -15,17 +17,27 @@ struct Levels {
   double mean, factor;
 };
 
+struct Sums {
+  double values = 0, squares = 0, count = 0;
+  Sums& operator+=(const Sums& more) {
+    values += more.values, squares += more.squares, count += more.count;
+    return *this;
+  }
+};
+
 Levels levels_of(const PosedImage& v) {
   const Index P = v.valid.count();
-  double sum = 0, squares = 0, count = 0;
-  for (Index c = 0; c < 3; ++c)
-    for (Index i = 0; i < P; ++i) {
-      const double x = static_cast<double>(v.rgb[c * P + i]);
-      if (v.valid[i] <= 0) continue;
-      sum += x;
-      squares += x * x;
-      count += 1;
-    }
+  const auto [sum, squares, count] =
+      ordered_reduce(P, 1 << 14, Sums(), [&](Index begin, Index end) {
+        Sums part;
+        for (Index i = begin; i < end; ++i)
+          if (v.valid[i] > 0)
+            for (Index c = 0; c < 3; ++c) {
+              const double x = static_cast<double>(v.rgb[c * P + i]);
+              part += {x, x * x, 1};
+            }
+        return part;
+      });
   const double mean = count > 0 ? sum / count : 0;
   const double variance = count > 0 ? std::max(squares / count - mean * mean, 0.0) : 0;
   constexpr double kFlat = 1e-3;
@@ -83,18 +95,27 @@ BasicTensor<T> locally_normalised(const PosedImage& v) {
     }
   });
   auto out = BasicTensor<T>::uninitialised({1, 1, H, W});
-  for_each_index(H, [&](Index y) {
-    const Index first = std::max<Index>(0, y - kReach), last = std::min(H - 1, y + kReach);
-    for (Index x = 0; x < W; ++x) {
-      const Index i = y * W + x;
-      out[i] = T(0);
-      if (v.valid[i] <= 0) continue;
-      double s[3]{};
-      for (Index row = first; row <= last; ++row)
-        for (Index k = 0; k < 3; ++k) s[k] += sums[k * P + row * W + x];
-      const double mean = s[0] / s[2], variance = std::max(s[1] / s[2] - mean * mean, 0.0);
-      out[i] = static_cast<T>(
-          std::clamp((brightness(i) - mean) / (std::sqrt(variance) + kFlat), -kMost, kMost));
+  constexpr Index kRows = 64;  // whose windows' sums go on from row to row
+  for_range(H, kRows, [&](Index begin, Index end) {
+    std::vector<double> windows(static_cast<std::size_t>(3 * W));  // sums
+    const auto move = [&](Index row, double sign) {
+      if (row < 0 || row >= H) return;
+      for (Index k = 0; k < 3; ++k)
+        for (Index x = 0; x < W; ++x) windows[k * W + x] += sign * sums[k * P + row * W + x];
+    };
+    for (Index row = begin - kReach; row < begin + kReach; ++row) move(row, 1);
+    for (Index y = begin; y < end; ++y) {
+      move(y + kReach, 1);
+      if (y > begin) move(y - kReach - 1, -1);
+      for (Index x = 0; x < W; ++x) {
+        const Index i = y * W + x;
+        const double count = windows[2 * W + x], mean = windows[x] / count,
+                     variance = std::max(windows[W + x] / count - mean * mean, 0.0);
+        out[i] = v.valid[i] > 0
+                     ? static_cast<T>(std::clamp(
+                           (brightness(i) - mean) / (std::sqrt(variance) + kFlat), -kMost, kMost))
+                     : T(0);
+      }
     }
   });
   return out;

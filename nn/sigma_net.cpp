@@ -61,10 +61,7 @@ Tensor sigma_channels(const FoundSurface& found) {
     });
   };
   const auto add_rise = [&](const auto& from, const auto& to) {
-    add([&](Index i) {
-      return static_cast<float>(
-          squeezed(static_cast<double>(to(i)) - static_cast<double>(from(i))));
-    });
+    add([&](Index i) { return squeezed(to(i) - from(i)); });
   };
   for (const Tensor* map : {&scale, &sure, &spread, &found.most}) add(same(*map));
   for (const Index radius : kSigmaRadii) {
@@ -89,7 +86,7 @@ SigmaNet<T>::SigmaNet(ParameterSet<T>& p, const std::string& name, Index hidden)
       head_(p, name + "head", hidden, 1, 1) {}
 
 template <class T>
-BasicVar<T> SigmaNet<T>::operator()(const BasicTensor<T>& channels) const {
+BasicVar<T> SigmaNet<T>::operator()(const Tensor& channels) const {
   Dims dim("sigma_net");
   dim.match("channels", channels, "1 C H W");
   const Index H = dim["H"], W = dim["W"];
@@ -97,9 +94,9 @@ BasicVar<T> SigmaNet<T>::operator()(const BasicTensor<T>& channels) const {
   constexpr Index kCells = 1 << 13;
   const Index rows = std::max<Index>(1, kCells / W);
   std::vector<BasicVar<T>> strips;
-  const BasicVar<T> all(channels);
+  const Var all(channels);
   for (Index y = 0; y < H; y += rows) {
-    const BasicVar<T> strip = slice(all, 2, y, std::min(H, y + rows));
+    const BasicVar<T> strip(slice(all, 2, y, std::min(H, y + rows)).value().template cast<T>());
     strips.push_back(head_(relu(second_(relu(first_(strip))))));
   }
   return reshape(strips.size() == 1 ? strips.front() : concat(strips, 2), {H, W});

@@ -41,7 +41,7 @@ class SigmaNet {
   SigmaNet(ParameterSet<T>& parameters, const std::string& name, Index hidden);
   /// channels  as `sigma_channels` makes them, [1 C H W]
   /// returns   [H W] what to add to the logarithm of the expected error
-  BasicVar<T> operator()(const BasicTensor<T>& channels) const;
+  BasicVar<T> operator()(const Tensor& channels) const;
 
  private:
   Conv2d<T> first_, second_, head_;

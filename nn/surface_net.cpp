@@ -132,8 +132,7 @@ BasicTensor<T> SurfaceNet<T>::channels(const SurfaceInput& input) {
   const auto put_above = [&](const float* height, const float* base, double unit, T* to) {
     for (Index j = 0; j < W; ++j)
       if (std::isfinite(height[j]) && std::isfinite(base[j]))
-        to[j] = static_cast<T>(
-            squeezed((static_cast<double>(height[j]) - static_cast<double>(base[j])) / unit));
+        to[j] = static_cast<T>(squeezed((height[j] - base[j]) / static_cast<float>(unit)));
   };
   for_each_index(H, [&](Index i) {
     const auto candidate = [&](Index k) { return input.candidates.data() + k * P + i * W; };
@@ -175,8 +174,7 @@ BasicVar<T> SurfaceNet<T>::log_scale(const SurfaceInput& input, const SurfaceOut
                                      const BasicTensor<T>& heights) const {
   const BasicVar<T> before(said.log_scale.value());
   if (!sigma_) return before;
-  const Tensor channels = sigma_channels(found_surface(input, said, heights));
-  return before + (*sigma_)(channels.template cast<T>());
+  return before + (*sigma_)(sigma_channels(found_surface(input, said, heights)));
 }
 
 template <class T>

@@ -326,15 +326,17 @@ FusedSurface refined(const ReconstructOptions& options, const Gathered& all, Rec
   const float *sure = plane(nn::SurfacePlane::confidence),
               *share = plane(nn::SurfacePlane::mode_share), *views = plane(nn::SurfacePlane::views);
   const Grid& cells = all.cells;
-  for (Index i = 0; i < P; ++i) {
-    const double x = cells.east + (static_cast<double>(i % cells.width) + 0.5) * cells.step;
-    const double y = cells.north - (static_cast<double>(i / cells.width) + 0.5) * cells.step;
-    out.confidence[i] = sure[i] * share[i];
-    const bool guessed = views[i] < nn::kViewsOfTwo || !(out.confidence[i] > 0);
-    if (guessed && !shown_by_two_if_lower(made.images, x, y, static_cast<double>(out.heights[i]),
-                                          static_cast<double>(surface.doubt[i])))
-      out.heights[i] = out.confidence[i] = made.sigma[i] = surface.doubt[i] = std::nanf("");
-  }
+  for_each_index(cells.height, [&](Index row) {
+    const double y = cells.north - (static_cast<double>(row) + 0.5) * cells.step;
+    for (Index i = row * cells.width; i < (row + 1) * cells.width; ++i) {
+      const double x = cells.east + (static_cast<double>(i % cells.width) + 0.5) * cells.step;
+      out.confidence[i] = sure[i] * share[i];
+      const bool guessed = views[i] < nn::kViewsOfTwo || !(out.confidence[i] > 0);
+      if (guessed && !shown_by_two_if_lower(made.images, x, y, static_cast<double>(out.heights[i]),
+                                            static_cast<double>(surface.doubt[i])))
+        out.heights[i] = out.confidence[i] = made.sigma[i] = surface.doubt[i] = std::nanf("");
+    }
+  });
   // first, so that a roof in doubt stands above the street again before that is taken for its shore
   if (options.even_untextured)
     made.evened =

@@ -3,6 +3,7 @@
 
 #include "satsurf/core/box_filters.h"
 #include "satsurf/core/dims.h"
+#include "satsurf/core/parallel.h"
 #include "satsurf/reconstruct/cell_links.h"
 
 #include <algorithm>
@@ -24,35 +25,47 @@ constexpr double kEdge = 3;               // m
 constexpr double kLeastSigma = 0.15;      // m, less is too good to be true
 constexpr int kPasses = 3;
 
+/// Calls `of` with every index below n.
+template <class Of>
+void for_each_cell(Index n, const Of& of) {
+  for_range(n, 1 << 14, [&](Index begin, Index end) {
+    for (Index i = begin; i < end; ++i) of(i);
+  });
+}
+
 /// How much each cell is in doubt where it is untextured, 0 to 1.
 /// known  [H W] 1 where there is a height, else 0
 Tensor doubt_of(const Tensor& known, const Tensor& sigma, const Tensor& colours, double step) {
   const Shape& shape = known.shape();
   const Index P = known.count(), radius = std::max<Index>(1, std::lround(kRadius / step));
-  Tensor out(shape), in_doubt(shape), value(shape), square(shape);
-  for (Index i = 0; i < P; ++i)
-    if (known[i] > 0) {
-      out[i] = static_cast<float>(
-          std::clamp((static_cast<double>(sigma[i]) - kDoubt) / (kWhole - kDoubt), 0., 1.));
-      in_doubt[i] = out[i] > 0;
-    }
+  Tensor out(shape), in_doubt(shape);
+  for_each_cell(P, [&](Index i) {
+    if (!(known[i] > 0)) return;
+    out[i] = static_cast<float>(
+        std::clamp((static_cast<double>(sigma[i]) - kDoubt) / (kWhole - kDoubt), 0., 1.));
+    in_doubt[i] = out[i] > 0;
+  });
   const Tensor count = box_mean(known, radius), doubtful = box_mean(in_doubt, radius);
   Tensor alike(shape);  // 1 in the middle of such squares
-  for (Index i = 0; i < P; ++i) alike[i] = count[i] > 0 && doubtful[i] >= kLeastShare * count[i];
+  for_each_cell(P,
+                [&](Index i) { alike[i] = count[i] > 0 && doubtful[i] >= kLeastShare * count[i]; });
   for (Index c = 0; c < colours.dim(0); ++c) {
-    for (Index i = 0; i < P; ++i) {
-      value[i] = known[i] > 0 ? colours[c * P + i] : 0;
+    Tensor value(shape), square(shape);
+    for_each_cell(P, [&](Index i) {
+      if (!(known[i] > 0)) return;
+      value[i] = colours[c * P + i];
       square[i] = value[i] * value[i];
-    }
+    });
     const Tensor sum = box_mean(value, radius), squares = box_mean(square, radius);
-    for (Index i = 0; i < P; ++i) {
+    for_each_cell(P, [&](Index i) {
       const float mean = sum[i] / count[i];
       if (squares[i] / count[i] - mean * mean > kUntextured * kUntextured) alike[i] = 0;
-    }
+    });
   }
   const Tensor near = box_max(alike, radius);
-  for (Index i = 0; i < P; ++i)
+  for_each_cell(P, [&](Index i) {
     if (!(near[i] > 0)) out[i] = 0;
+  });
   return out;
 }
 
@@ -108,7 +121,7 @@ Index even_untextured(Tensor& heights, Tensor& sigma, const Tensor& colours, dou
   dim.match("heights", heights, "H W").match("sigma", sigma, "H W");
   dim.match("colours", colours, "C H W");
   Tensor known(heights.shape());
-  for (Index i = 0; i < heights.count(); ++i) known[i] = std::isfinite(heights[i]);
+  for_each_cell(heights.count(), [&](Index i) { known[i] = std::isfinite(heights[i]); });
   const Tensor doubt = doubt_of(known, sigma, colours, step);
   std::vector<CellLink> links = links_of(doubt, known, colours);
   const std::vector<Index> cells = numbered(links, heights.count());
