@@ -174,21 +174,25 @@ class Rest {
   /// Whether there is anything to be gained.
   bool worth(const rpc::HeightRange& range) const { return !(range.span() < 6 * margin_); }
 
-  /// A part of the range, which holds what was found with so much more of it.
+  /// A part of the range, which holds what was found with so much more of it, and what stands above that
+  /// where views were seen to agree before. Not what lies below: ground is wide, so that the network
+  /// finds some of it, and what it does not find is rows of roofs or trees taken for one another.
   rpc::HeightRange around(const rpc::HeightRange& range, const rpc::HeightRange& found,
                           double below, double above) const {
-    rpc::HeightRange with{found.low - below, found.high + above};
-    if (agreed_) with = hull(with, *agreed_);
-    return {std::max(range.low, with.low), std::min(range.high, with.high)};
+    const double top = agreed_ ? agreed_->high : found.high;
+    return {std::max(range.low, found.low - below),
+            std::min(range.high, std::max(found.high + above, top))};
   }
-  /// The part that remains in the end; nothing where it would save too little. Where some buildings
-  /// are tall, others may be taller; flat ground with halls gains most.
+  /// The part that remains in the end; nothing where it would save too little. Few heights count above
+  /// what is believed, where they may be towers, and none below. Where some buildings are tall, others
+  /// may be taller; flat ground with halls gains most.
   /// believed  of the heights on which views agree
   std::optional<rpc::HeightRange> last(const rpc::HeightRange& range,
                                        const rpc::HeightRange& believed,
                                        const std::vector<float>& agreed) const {
     constexpr double kTall = 40, kTaller = 25;  // m
-    const rpc::HeightRange seen = hull(believed, scene::span_of_all_but(kFew, agreed));
+    const rpc::HeightRange seen{believed.low,
+                                std::max(believed.high, scene::span_of_all_but(kFew, agreed).high)};
     const double taller = seen.span() > kTall ? std::min(0.5 * seen.span(), kTaller) : 0;
     const rpc::HeightRange part = around(range, seen, margin_, std::max(2 * margin_, taller));
     return saves(part, range) ? std::optional(part) : std::nullopt;

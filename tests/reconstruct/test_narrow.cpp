@@ -88,10 +88,10 @@ TEST_CASE("a height range that is far too generous is narrowed to what holds the
     CHECK(found.low <= truth.low);
     CHECK(found.high >= truth.high);
     CHECK(found.span() < truth.span() + 20);  // 15 m of margins
-    // what was seen to agree before is not taken away
+    // what was seen to agree above is not taken away, what was below is
     scene.z_agreed = rpc::HeightRange{scene.z_range.low + 1, scene.z_range.middle()};
     const rpc::HeightRange kept = narrowed_range(model, scene);
-    CHECK(kept.low <= scene.z_agreed->low);
+    CHECK(kept.low >= scene.z_range.low + 0.9 * below);
     CHECK(kept.high >= scene.z_agreed->high);
     CHECK(kept.high < scene.z_range.high - 0.2 * scene.z_range.span());
   }
@@ -128,9 +128,11 @@ TEST_CASE("the first stage leaves of a range what the surface needs") {
   CHECK(left.low <= made.h_min);
   CHECK(left.high >= made.h_max);
   CHECK(left.span() < made.h_max - made.h_min + 60);
-  // what was seen to agree before is kept
-  scene.z_agreed = rpc::HeightRange{scene.z_range.low + 1, scene.z_range.high - 1};
-  CHECK(left_of().span() >= scene.z_agreed->span());
+  // what was seen to agree above is kept, what was below is not
+  const rpc::HeightRange agreed{scene.z_range.low + 1, scene.z_range.high - 1};
+  scene.z_agreed = agreed;
+  CHECK(left_of().low == left.low);
+  CHECK(left_of().high >= scene.frame.heights_from_z(agreed).high);
   // and all of it where views agree on a small part of the ground alone
   scene.z_agreed.reset();
   spoil_left(scene.views[1], 0.6);
