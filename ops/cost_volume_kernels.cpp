@@ -41,15 +41,19 @@ struct Square {
   }
 };
 
-/// Calls body.template operator()<S>(first, end) for the channels below C that are taken S at a time:
-/// eight while there are as many and a vector holds them, then four; and then <1> for what is left.
+/// Calls body.template operator()<S>(c, i) for squares of S channels from c on and S pixels from i on, and
+/// with S = 1 for what is left of C channels and n pixels: squares of eight while there are as many
+/// channels and a vector holds them, then of four.
 template <class T, class Body>
-void by_squares(Index C, const Body& body) {
+void by_squares(Index n, Index C, const Body& body) {
   Index c = 0;
   const auto run = [&]<Index S>() {
-    const Index end = c + (C - c) / S * S;
-    if (end > c) body.template operator()<S>(c, end);
-    c = end;
+    const Index whole = n / S * S;
+    for (; C - c >= S; c += S) {
+      for (Index i = 0; i < whole; i += S) body.template operator()<S>(c, i);
+      for (Index k = c; k < c + S; ++k)
+        for (Index i = whole; i < n; ++i) body.template operator()<1>(k, i);
+    }
   };
   if constexpr (kLanes<T> >= 8) run.template operator()<8>();
   run.template operator()<4>();
@@ -59,17 +63,15 @@ void by_squares(Index C, const Body& body) {
 /// Planes [C n] to pixels [n Cs]; channels C.. are left alone.
 template <class T>
 void gather_pixels(const T* planes, Index stride, Index n, Index C, Index Cs, T* pixels) {
-  by_squares<T>(C, [&]<Index S>(Index first, Index end) {
-    const Index whole = S > 1 ? n / S * S : 0;
-    for (Index c = first; c < end; c += S) {
-      if constexpr (S > 1)
-        for (Index i = 0; i < whole; i += S) {
-          const Square<T, S> square(planes + c * stride + i, stride);
+  by_squares<T>(n, C, [&]<Index S>(Index c, Index i) {
+    const T* from = planes + c * stride + i;
+    T* to = pixels + i * Cs + c;
+    if constexpr (S == 1) {
+      *to = *from;
+    } else {
+      const Square<T, S> square(from, stride);
 #pragma GCC unroll 8
-          for (Index k = 0; k < S; ++k) store(pixels + (i + k) * Cs + c, square.rows[k]);
-        }
-      for (Index k = c; k < c + S; ++k)
-        for (Index i = whole; i < n; ++i) pixels[i * Cs + k] = planes[k * stride + i];
+      for (Index k = 0; k < S; ++k) store(to + k * Cs, square.rows[k]);
     }
   });
 }
@@ -84,17 +86,15 @@ void scatter_pixels(const T* pixels, Index n, Index C, Index Cs, T* planes, Inde
     else
       store<V>(to, value);
   };
-  by_squares<T>(C, [&]<Index S>(Index first, Index end) {
-    const Index whole = S > 1 ? n / S * S : 0;
-    for (Index c = first; c < end; c += S) {
-      if constexpr (S > 1)
-        for (Index i = 0; i < whole; i += S) {
-          const Square<T, S> square(pixels + i * Cs + c, Cs);
+  by_squares<T>(n, C, [&]<Index S>(Index c, Index i) {
+    const T* from = pixels + i * Cs + c;
+    T* to = planes + c * stride + i;
+    if constexpr (S == 1) {
+      put(to, *from);
+    } else {
+      const Square<T, S> square(from, Cs);
 #pragma GCC unroll 8
-          for (Index k = 0; k < S; ++k) put(planes + (c + k) * stride + i, square.rows[k]);
-        }
-      for (Index k = c; k < c + S; ++k)
-        for (Index i = whole; i < n; ++i) put(planes + k * stride + i, pixels[i * Cs + k]);
+      for (Index k = 0; k < S; ++k) put(to + k * stride, square.rows[k]);
     }
   });
 }
@@ -181,8 +181,8 @@ struct Sampler {
       for (Index i = 0; i < count; ++i) counted[i] += counts[i];
     }
     for (Index i = 0; i < count; ++i) {
-      const T some =
-          counted[i] > 1 ? counted[i] : T(1);  // so that no division waits to be asked for
+      // A division that is always made, for one under a condition is made pixel by pixel.
+      const T some = counted[i] > 1 ? counted[i] : T(1);
       out[i] = (some >= 2 ? T(1) : T(0)) * (1 / some);
     }
   }
@@ -223,7 +223,8 @@ void choose_pairs(const SweepRow<T>& s, Index begin, Index n, Index d, T* out) {
   constexpr Index kPart = kDistanceParts, L = kLanes<T>;
   static_assert(kPart + 1 == kPairChannels && kSweepTile % L == 0);
   using B = Batch<T>;
-  // of the best source so far; -1 is none. Behind pixel n is what was there before.
+  // Of the best source so far, -1 for none. Whole vectors are worked on: what stands behind pixel n
+  // is never read.
   alignas(B) T planes[kPart][kSweepTile] = {}, distance[kPart][kSweepTile] = {}, least[kSweepTile],
                counted[kSweepTile], best[kSweepTile];
   for (Index i = 0; i < kSweepTile; ++i) least[i] = counted[i] = 0, best[i] = -1;
@@ -260,7 +261,8 @@ template <class T, Index L, Index kJ, bool kPairs>
 void forward_tile(const SweepRow<T>& row, Index begin, Index n) {
   using V = Channels<T, L>;
   constexpr Index kParts = kSums<L> / L;
-  const SweepRow<T> s = row;  // which no store below can change, as the compiler sees
+  // A copy, which the stores below cannot change: of `row` all would be read again behind each.
+  const SweepRow<T> s = row;
   const Sampler<T, L, kJ> sampler{s};
   const Index J = sampler.J;
   T shares[kSweepTile];

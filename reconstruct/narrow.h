@@ -21,10 +21,10 @@ namespace satsurf::reconstruct {
 /// they may be towers. Below, only what is believed: the ground is wide, and what lies lower is for the
 /// most part rows of roofs or trees taken for one another. Where all that spans more than 40 m, some
 /// tower may not have been seen, and there is half of it more above, up to 25 m. The scene's own range
-/// is kept where it is less than six margins, where hardly
-/// anything agrees, and where less than 15 % would be saved: what is cut off is lost, a tower that no
-/// look has seen, too. It is also kept, without a look, where it is less than one and a half times what
-/// the fewest hypotheses span: then the first stage can as well search all of it (`range_left`).
+/// is kept where it is less than six margins, where hardly anything agrees, and where less than 15 %
+/// would be saved: what is cut off is lost, a tower that no look has seen, too. It is also kept, without
+/// a look, where it is less than one and a half times what the fewest hypotheses span: then the first
+/// stage can as well search all of it (`range_left`).
 /// poll      called between layers, may throw to stop
 /// unwanted  ground on which heights do not count, see ReconstructOptions; may be empty
 /// returns   a part of `scene.z_range`, local m

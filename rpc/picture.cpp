@@ -186,7 +186,7 @@ std::string encoded_picture(const std::string& where, std::vector<std::uint8_t>&
     refuse();
   CPLStringList options;
   if (format == PictureFormat::png)
-    options.SetNameValue("ZLEVEL", "2");  // half the time of 4, and shades take fewer bytes
+    options.SetNameValue("ZLEVEL", "2");  // less time than 4, and shades take fewer bytes
   else
     options.SetNameValue("QUALITY", "90");
   const MemoryFile file;
