@@ -81,6 +81,8 @@ SEARCH = ['--preset', 'wide8', *(word for loss in ('geo', 'colour', 'ssim', 'ren
 PARTS = {
     'full': SEARCH,
     'no best pair': [*SEARCH, '--model.best_pair', 'false'],
+    'visible pairs instead': [*SEARCH, '--model.best_pair', 'false', '--model.visible_pairs', 'true'],
+    'visible pairs too': [*SEARCH, '--model.visible_pairs', 'true'],
     'features of a quarter': [*SEARCH, '--model.feature_levels', '0'],
     'no local contrast': [*SEARCH, '--model.local_contrast', 'false'],
     'mean height': [*SEARCH, '--model.height', 'mean'],

@@ -30,6 +30,7 @@ struct ModelConfig {
   double interval_max = 1.0;  ///< of the last stage, m
   bool variance_includes_reference = true;
   bool best_pair = false;                  ///< channels of the best pair beside variances
+  bool visible_pairs = false;              ///< and of all pairs by learned visibility
   Index feature_levels = 0;                ///< halvings of the features below stride 4
   bool local_contrast = false;             ///< the features see the locally normalised image, too
   HeightOf height = HeightOf::mean;        ///< of a stage's distribution
@@ -86,6 +87,8 @@ struct ModelConfig {
     v("best_pair", s.best_pair,
       Field{.help =
                 "tell the 3D U-Nets of the best pair of views, too, and of how many see a point"});
+    v("visible_pairs", s.visible_pairs,
+      Field{.help = "tell them of all pairs, too, by a learned visibility of each"});
     v("feature_levels", s.feature_levels,
       Field{.help = "how often the matching features are halved below a quarter of the resolution: "
                     "how far they look around",

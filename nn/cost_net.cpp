@@ -21,6 +21,9 @@ CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, const CostNetOp
   const Index base = options.base;
   if (options.more > 0)
     more_ = p.create(name + ".first.more", {base, options.more, 3, 3, 3}, Init::constant(0), true);
+  if (options.pairs > 0)
+    pairs_ =
+        p.create(name + ".first.pairs", {base, options.pairs, 3, 3, 3}, Init::constant(0), true);
   for (Index l = 0; l < options.levels; ++l) {
     const std::string level = name + ".level" + std::to_string(l + 1);
     const Index c = base << l;
@@ -37,7 +40,10 @@ CostNet<T>::CostNet(ParameterSet<T>& p, const std::string& name, const CostNetOp
 
 template <class T>
 BasicVar<T> CostNet<T>::first_weight() const {
-  return more_ ? concat<T>({first_.weight, *more_}, 1) : first_.weight;
+  std::vector<BasicVar<T>> parts{first_.weight};
+  if (more_) parts.push_back(*more_);
+  if (pairs_) parts.push_back(*pairs_);
+  return parts.size() > 1 ? concat(parts, 1) : first_.weight;
 }
 
 template <class T>

@@ -19,6 +19,7 @@ Index band_rows(Index row);
 struct CostNetOptions {
   Index channels = 0;  ///< of the variance volume
   Index more = 0;      ///< channels of the volume behind those; the network starts blind to them
+  Index pairs = 0;     ///< behind those, of nn/visible_pairs.h, likewise
   Index base = 8;      ///< channels of the first level
   Index levels = 3;    ///< halvings
   Context context = Context::none;
@@ -33,7 +34,7 @@ class CostNet {
  public:
   /// p  where the parameters are created, under `name`
   CostNet(ParameterSet<T>& p, const std::string& name, const CostNetOptions& options);
-  /// volume   [C + more D H W], D, H and W multiples of 2^levels
+  /// volume   [C + more + pairs D H W], D, H and W multiples of 2^levels
   /// features [1 C H W] of the reference view; not read without context
   /// poll     called between layers, may throw to stop
   /// returns  logits [1 D H W]
@@ -57,7 +58,8 @@ class CostNet {
                           const std::function<void()>& poll) const;
 
   ConvNorm3d<T> first_;
-  std::optional<BasicVar<T>> more_;  ///< the first convolution's weights of the further channels
+  /// The first convolution's weights of the further channels.
+  std::optional<BasicVar<T>> more_, pairs_;
   std::vector<Level> levels_;
   std::optional<ConvNorm2d<T>> context_;
   BasicVar<T> last_;

@@ -44,7 +44,11 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
     const Index floats =
         rows < H ? 2 * (rows + 2) * row + rows * config.volume_base * config.hypotheses[s] * W
                  : (H + 2) * row;
-    return static_cast<double>(floats);
+    if (!config.visible_pairs) return static_cast<double>(floats);
+    // Whole: the volume before and after the pairs' channels join it, or that of the last pair and
+    // the costs of all, before and behind their concatenation.
+    const Index other = 2 * row + (2 * (views - 1) + 1) * kPairChannels * config.hypotheses[s] * W;
+    return static_cast<double>(H * other);
   };
   for (std::size_t s = 0; s < stages_of(wanted); ++s) {
     const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);

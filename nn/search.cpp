@@ -44,9 +44,11 @@ HeightSearch<T>::HeightSearch(ParameterSet<T>& p, const std::string& name,
   cost_.emplace(p, name,
                 CostNetOptions{.channels = config.base * kStrides[stage],
                                .more = config.best_pair ? kPairChannels : 0,
+                               .pairs = config.visible_pairs ? kPairChannels : 0,
                                .base = config.volume_base,
                                .levels = config.volume_levels,
                                .context = config.context});
+  if (config.visible_pairs) pairs_.emplace(p, name + ".pairs");
 }
 
 template <class T>
@@ -62,12 +64,16 @@ BasicVar<T> HeightSearch<T>::logits(const NetworkInput& scene, const StageGrid& 
       maps.push_back(rescale_pixels(q, stride, stride));
     const BasicTensor<T> heights = in.hypotheses.slice0(i);
     const BasicVar<T> reference = slice(in.features, 0, i, i + 1);
-    of_views.push_back(
-        NoGrad::active()
-            ? (*cost_)(PlaneSweep<T>(in.features.value(), i, maps, heights, in.validity, sweep_),
-                       reference, poll)
-            : (*cost_)(plane_sweep_variance(in.features, i, maps, heights, in.validity, sweep_),
-                       reference, poll));
+    if (NoGrad::active() && !pairs_) {
+      of_views.push_back(
+          (*cost_)(PlaneSweep<T>(in.features.value(), i, maps, heights, in.validity, sweep_),
+                   reference, poll));
+      continue;
+    }
+    BasicVar<T> volume = plane_sweep_variance(in.features, i, maps, heights, in.validity, sweep_);
+    if (pairs_)
+      volume = concat<T>({volume, (*pairs_)(in.features, i, maps, heights, in.validity)}, 0);
+    of_views.push_back((*cost_)(std::exchange(volume, {}), reference, poll));
   }
   return concat(std::exchange(of_views, {}), 0);
 }

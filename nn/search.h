@@ -5,6 +5,7 @@
 #include "satsurf/nn/cost_net.h"
 #include "satsurf/nn/input.h"
 #include "satsurf/nn/stage.h"
+#include "satsurf/nn/visible_pairs.h"
 #include "satsurf/ops/cost_volume.h"
 
 #include <functional>
@@ -66,6 +67,7 @@ class HeightSearch {
   bool joint_;
   HeightOf height_;
   std::optional<CostNet<T>> cost_;
+  std::optional<VisiblePairs<T>> pairs_;
 };
 
 }  // namespace satsurf::nn

@@ -49,12 +49,10 @@ BasicVar<T> objective(const nn::BasicModel<T>& model, const nn::NetworkInput& sc
 
 TEST_CASE("the memory of a forward pass is known before, part by part") {
   const NoGrad no_grad;
-  const auto check = [](const char* preset, std::size_t views, Index side,
-                        nn::Wanted wanted = nn::Wanted::surfels) {
-    CAPTURE(preset);
+  const auto check_of = [](const nn::ModelConfig& config, std::size_t views, Index side,
+                           nn::Wanted wanted) {
     CAPTURE(views);
     CAPTURE(side);
-    const nn::ModelConfig config = nn::model_preset(preset);
     const nn::Model model(config, 1);
     auto scene = affine_scene(side, {{0.8, 0.1}, {-0.7, 0.3}, {0.1, -0.8}, {0.5, 0.5}, {-0.2, 0.6}},
                               -6, 6, [](double, double) { return 0.0; });
@@ -82,6 +80,11 @@ TEST_CASE("the memory of a forward pass is known before, part by part") {
           doctest::Approx(1).epsilon(0.1));
     CHECK(static_cast<double>(peak_tensor_bytes()) == before + most);  // measuring hides nothing
   };
+  const auto check = [&](const char* preset, std::size_t views, Index side,
+                         nn::Wanted wanted = nn::Wanted::surfels) {
+    CAPTURE(preset);
+    check_of(nn::model_preset(preset), views, side, wanted);
+  };
   for (const std::size_t views : {2, 3, 5}) check("tiny", views, 256);
   check("tiny_full", 3, 256);
   check("base8", 3, 192);
@@ -90,6 +93,9 @@ TEST_CASE("the memory of a forward pass is known before, part by part") {
     check("tiny_full", 3, 256, wanted);
     check("base8", 3, 192, wanted);
   }
+  nn::ModelConfig pairs = nn::model_preset("wide8");
+  pairs.visible_pairs = true;
+  for (const std::size_t views : {3, 5}) check_of(pairs, views, 192, nn::Wanted::heights);
 }
 
 #if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)  // they get blocks of malloc's
@@ -226,8 +232,8 @@ nn::BasicModel<T> awake(const nn::ModelConfig& config, Rng& rng) {
     const auto ends = [&](const char* text) { return e.name.ends_with(text); };
     if (!ends("head.out.weight") && !ends("guidance.residual2.weight") &&
         !ends("cost.context.gamma") && !ends("fusion.value_mono.weight") &&
-        !ends("fusion.query.weight") && !ends("cost.first.more") && !ends("full1.contrast") &&
-        !ends("features.around"))
+        !ends("fusion.query.weight") && !ends("cost.first.more") && !ends("cost.first.pairs") &&
+        !ends("full1.contrast") && !ends("features.around"))
       continue;
     BasicVar<T> v = e.var;
     for (T& x : v.mutable_value().values()) x = static_cast<T>(0.05 * rng.normal());
@@ -238,7 +244,7 @@ nn::BasicModel<T> awake(const nn::ModelConfig& config, Rng& rng) {
 /// Small, with all parts: to tiny_full what wide8 is to base8.
 nn::ModelConfig tiny_wide() {
   nn::ModelConfig config = nn::model_preset("tiny_full");
-  config.best_pair = config.local_contrast = true;
+  config.best_pair = config.visible_pairs = config.local_contrast = true;
   config.feature_levels = 2;
   config.height = nn::HeightOf::mode;
   config.centre = nn::Centre::nearest;
@@ -336,7 +342,7 @@ TEST_CASE("fusion and guidance start as identities in the default configuration"
 TEST_CASE("what a network has beyond the base begins at nothing, and is reached") {
   const auto scene = hill(32);
   nn::ModelConfig base = nn::model_preset("tiny_full"), more = base;
-  more.best_pair = more.local_contrast = true;
+  more.best_pair = more.visible_pairs = more.local_contrast = true;
   more.feature_levels = 2;
   const nn::BasicModel<double> before(base, 1), after(more, 1);
   const auto x = before.forward(scene), y = after.forward(scene);
@@ -346,15 +352,17 @@ TEST_CASE("what a network has beyond the base begins at nothing, and is reached"
   objective(after, scene).backward();
   Index grown = 0;
   for (const auto& e : after.parameters().entries()) {
-    const bool is_new = e.name.ends_with(".first.more") || e.name.ends_with(".contrast") ||
-                        e.name == "features.around" || e.name.starts_with("features.level");
+    const bool behind = e.name.starts_with("features.level") ||
+                        e.name.find(".cost.pairs.") != std::string::npos,
+               is_new = e.name.ends_with(".first.more") || e.name.ends_with(".first.pairs") ||
+                        e.name.ends_with(".contrast") || e.name == "features.around" || behind;
     if (!is_new) continue;
     ++grown;
     double sum = 0;
     for (const double g : e.var.grad().values()) sum += std::abs(g);
-    CHECK_MESSAGE((sum > 0) == !e.name.starts_with("features.level"), e.name);
+    CHECK_MESSAGE((sum > 0) == !behind, e.name);
   }
-  CHECK(grown == 3 + 1 + 1 + 2 * 2 * 3);
+  CHECK(grown == 3 + 3 + 1 + 1 + 2 * 2 * 3 + 3 * 4);
 }
 
 TEST_CASE("the mode's heights and nearest centres") {

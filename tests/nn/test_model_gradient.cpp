@@ -55,7 +55,7 @@ nn::ModelConfig config_of_all_parts() {
   config.interval_min = config.interval_max = 1.05;
   config.fusion_lambda = 0;
   config.confidence = nn::Confidence::raw;  // the others reach the heads without a gradient
-  config.best_pair = config.local_contrast = true;
+  config.best_pair = config.visible_pairs = config.local_contrast = true;
   config.feature_levels = 2;
   config.height = nn::HeightOf::mode;
   config.centre = nn::Centre::nearest;
@@ -75,7 +75,7 @@ Model awake(const nn::ModelConfig& config) {
     for (const char* end :
          {"head.out.weight", "guidance.residual1.bias", "guidance.residual2.weight",
           "cost.context.gamma", "fusion.value_mono.weight", "fusion.query.weight",
-          "cost.first.more", "full1.contrast", "features.around"})
+          "cost.first.more", "cost.first.pairs", "full1.contrast", "features.around"})
       if (e.name.ends_with(end)) randomise(e.var, ++seed, 0.1);
   return model;
 }
