@@ -73,7 +73,7 @@ rpc::HeightRange near_span(std::vector<float> heights, const rpc::HeightRange& s
 }
 
 rpc::HeightRange widened(rpc::HeightRange span, const std::vector<Patch>& patches,
-                         const std::function<bool(std::size_t)>& confirmed) {
+                         const std::function<bool(std::size_t, double)>& confirmed) {
   struct Beyond {
     std::size_t patch;
     double nearest, farthest;  // m
@@ -88,12 +88,14 @@ rpc::HeightRange widened(rpc::HeightRange span, const std::vector<Patch>& patche
   std::ranges::sort(above, {}, &Beyond::nearest);
   std::ranges::sort(below, std::greater<>(), &Beyond::nearest);
   for (const Beyond& b : above) {
-    if (b.nearest - span.high > kLargestStep) break;
-    if (b.farthest > span.high && confirmed(b.patch)) span.high = b.farthest;
+    const double gap = b.nearest - span.high;
+    if (gap > kLargestStep) break;
+    if (b.farthest > span.high && confirmed(b.patch, gap)) span.high = b.farthest;
   }
   for (const Beyond& b : below) {
-    if (span.low - b.nearest > kLargestStep) break;
-    if (b.farthest < span.low && confirmed(b.patch)) span.low = b.farthest;
+    const double gap = span.low - b.nearest;
+    if (gap > kLargestStep) break;
+    if (b.farthest < span.low && confirmed(b.patch, gap)) span.low = b.farthest;
   }
   return span;
 }

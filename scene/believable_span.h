@@ -37,9 +37,10 @@ rpc::HeightRange near_span(std::vector<float> heights, const rpc::HeightRange& s
 
 /// A span, and of patches beyond it the ones that are confirmed, from the nearest to the farthest and in
 /// steps of up to 100 m.
-/// confirmed  whether a patch is more than chance; asked of those that would widen the span
+/// confirmed  whether a patch is more than chance; asked of those that would widen the span, and told
+///            how many m lie between it and the span so far, less than 0 where it overlaps
 rpc::HeightRange widened(rpc::HeightRange span, const std::vector<Patch>& patches,
-                         const std::function<bool(std::size_t)>& confirmed);
+                         const std::function<bool(std::size_t, double)>& confirmed);
 
 /// What two ways to find a span say of it: all that either found up to 25 m beyond what both did. As
 /// chance finds other heights each way, what only one of them found farther off is not believed. All

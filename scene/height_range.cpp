@@ -190,9 +190,10 @@ class HeightSearch {
         heights.push_back(patch.heights);
         places.emplace_back(look.view, &patch);
       }
-    return widened(near_span(std::move(of_first), searched_), heights, [&](std::size_t k) {
-      return others_agree(places[k].first, *places[k].second, way);
-    });
+    return widened(near_span(std::move(of_first), searched_), heights,
+                   [&](std::size_t k, double gap) {
+                     return others_agree(places[k].first, *places[k].second, gap, way);
+                   });
   }
 
   /// Of a patch's pixels, those for which another view finds the same height; and is sure of it.
@@ -202,10 +203,12 @@ class HeightSearch {
 
   /// Whether the other views find the heights of a patch where it lies in them, when they in turn are
   /// compared with all others. What chance finds in one view, hardly any other finds too.
-  bool others_agree(Index view, const FoundPatch& patch, std::size_t way) {
+  /// gap  m between the patch and what is found besides
+  bool others_agree(Index view, const FoundPatch& patch, double gap, std::size_t way) {
     // Shares of the pixels. Where one other view alone sees the patch, chance agrees too often with less
-    // than two windows.
+    // than two windows; but for what nearly touches the rest, where chance seldom finds anything.
     constexpr double kSame = 0.5, kSure = 0.3, kSameInOne = 0.75, kSureInOne = 0.5;
+    constexpr double kTouching = 20, kSameTouching = 0.7, kSureTouching = 0.25;
     constexpr Index kLarge = 2 * HeightSweep::kPatch;
     int seeing = 0, agreeing = 0;
     Shares most;
@@ -216,6 +219,8 @@ class HeightSearch {
       ++seeing, agreeing += shares->same >= kSame ? 1 : 0;
       most = {std::max(most.same, shares->same), std::max(most.sure, shares->sure)};
     }
+    if (seeing == 1 && gap <= kTouching)
+      return most.same >= kSameTouching && most.sure >= kSureTouching;
     if (seeing == 1)
       return most.same >= kSameInOne && most.sure >= kSureInOne &&
              static_cast<Index>(patch.pixels.size()) >= kLarge;

@@ -41,10 +41,11 @@ TEST_CASE("the believable span leaves out what chance finds") {
 TEST_CASE("a patch beyond a span has to be confirmed") {
   using Asked = std::vector<std::size_t>;
   Asked asked;
+  std::vector<double> gaps;
   const auto span = [&](const std::vector<Patch>& patches, const Asked& true_ones) {
-    asked.clear();
-    return widened({0, 12}, patches, [&](std::size_t k) {
-      asked.push_back(k);
+    asked.clear(), gaps.clear();
+    return widened({0, 12}, patches, [&](std::size_t k, double gap) {
+      asked.push_back(k), gaps.push_back(gap);
       return std::ranges::find(true_ones, k) != true_ones.end();
     });
   };
@@ -59,9 +60,11 @@ TEST_CASE("a patch beyond a span has to be confirmed") {
   // from the nearest on, in steps of 100 m
   CHECK(span({patch(150, 180, 184), patch(60, 80, 84)}, {0, 1}) == HeightRange{0, 184});
   CHECK(asked == Asked{1, 0});
+  CHECK(gaps == std::vector<double>{68, 96});
   CHECK(span({patch(150, 180, 184), patch(60, 80, 84)}, {0}) == HeightRange{0, 12});
   CHECK(asked == Asked{1});
   CHECK(span({patch(60, -190, -186), patch(60, -90, -86)}, {0, 1}) == HeightRange{-190, 12});
+  CHECK(gaps == std::vector<double>{86, 96});
 }
 
 TEST_CASE("heights within 20 m of the rest are close together") {
