@@ -11,7 +11,8 @@
 namespace satsurf {
 namespace {
 
-constexpr Index kGrain = 256;  // pixels
+constexpr Index kGrain = 256;    // pixels
+constexpr double kLeast = 1e-4;  // e
 
 /// Extents, and where a piece of the pixels begins and ends.
 struct Piece {
@@ -24,11 +25,14 @@ struct Piece {
 /// How visible the pixels of a piece are in each view, and at which hypothesis; -1 for none.
 template <class T>
 struct Visibility {
-  std::vector<T> of;      ///< [J count]
+  std::vector<T> of;      ///< [J count] v_j
+  std::vector<T> slope;   ///< [J count] its derivative by the logit
   std::vector<Index> at;  ///< [J count]
 
   Visibility(const Piece& p, const T* costs, const T* logits)
-      : of(static_cast<std::size_t>(p.J * p.count()), T(0)), at(of.size(), -1) {
+      : of(static_cast<std::size_t>(p.J * p.count()), T(0)),
+        slope(of.size(), T(0)),
+        at(of.size(), -1) {
     for (Index j = 0; j < p.J; ++j)
       for (Index d = 0; d < p.D; ++d) {
         const T *seen = costs + p.at(j, p.K, d), *l = logits + (j * p.D + d) * p.P + p.begin;
@@ -39,8 +43,12 @@ struct Visibility {
           at[n] = d;
         }
       }
-    for (std::size_t n = 0; n < of.size(); ++n)
-      of[n] = at[n] < 0 ? T(0) : 1 / (1 + std::exp(-of[n]));
+    for (std::size_t n = 0; n < of.size(); ++n) {
+      if (at[n] < 0) continue;
+      const T s = 1 / (1 + std::exp(-of[n])), share = static_cast<T>(1 - kLeast);
+      of[n] = static_cast<T>(kLeast) + share * s;
+      slope[n] = share * s * (1 - s);
+    }
   }
 };
 
@@ -103,8 +111,7 @@ void backward(const Piece& p, const T* costs, const T* logits, const T* out, con
   for (Index j = 0; j < p.J; ++j)
     for (Index i = 0; i < p.count(); ++i) {
       const auto n = static_cast<std::size_t>(j * p.count() + i);
-      if (v.at[n] >= 0)
-        d_logits[(j * p.D + v.at[n]) * p.P + p.begin + i] += d_v[n] * v.of[n] * (1 - v.of[n]);
+      if (v.at[n] >= 0) d_logits[(j * p.D + v.at[n]) * p.P + p.begin + i] += d_v[n] * v.slope[n];
     }
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/ops/concat.h"
+#include "satsurf/ops/reduce.h"
 #include "satsurf/ops/visible_mean.h"
 
 #include <cmath>
@@ -28,7 +29,8 @@ BasicTensor<double> costs() {
 double visibility(const BasicTensor<double>& c, const BasicTensor<double>& l, Index j, Index i) {
   double most = 0;
   for (Index d = 0; d < D; ++d)
-    if (c[at(j, K, d, i)] > 0) most = std::max(most, 1 / (1 + std::exp(-l[(j * D + d) * P + i])));
+    if (c[at(j, K, d, i)] > 0)
+      most = std::max(most, 1e-4 + (1 - 1e-4) / (1 + std::exp(-l[(j * D + d) * P + i])));
   return most;
 }
 
@@ -61,13 +63,26 @@ TEST_CASE("visible_mean: a view that sees a point nowhere well has no say at any
   c[4] = 90, c[5] = 3;  // of the second, in which something stands before the point
   l[2] = l[3] = -40;
   const auto out = visible_mean(BasicVar<double>(c), BasicVar<double>(l)).value();
-  CHECK(out[0] == doctest::Approx(5));
-  CHECK(out[1] == doctest::Approx(7));
-  CHECK(out[2] == doctest::Approx(0.5));
+  CHECK(out[0] == doctest::Approx(5 + 85e-4 / 1.0001));
+  CHECK(out[1] == doctest::Approx(7 - 4e-4 / 1.0001));
+  CHECK(out[2] == doctest::Approx(0.50005));
   l[3] = 40;  // visible at one height, it is at both
   const auto both = visible_mean(BasicVar<double>(c), BasicVar<double>(l)).value();
   CHECK(both[0] == doctest::Approx(47.5));
   CHECK(both[1] == doctest::Approx(5));
+}
+
+TEST_CASE(
+    "visible_mean: where no view counts for anything all have their say, and nothing overflows") {
+  Tensor c({2, 2, 1, 1, 1}, 1.f);
+  c[0] = 2, c[2] = 4;
+  Var costs(c, true), logits(Tensor({2, 1, 1, 1, 1}, -1000.f), true);
+  const Var out = visible_mean(costs, logits);
+  CHECK(out.value()[0] == doctest::Approx(3));
+  CHECK(out.value()[1] == doctest::Approx(1e-4));
+  sum(out).backward();
+  CHECK(costs.grad()[0] == doctest::Approx(0.5));
+  for (const float g : logits.grad().values()) CHECK(g == 0);
 }
 
 TEST_CASE("visible_mean: gradients") {
