@@ -10,7 +10,6 @@
 namespace satsurf::scene {
 namespace {
 
-constexpr double kNear = 20;         // m from all others up to which heights are close together
 constexpr double kUnconfirmed = 25;  // m beyond the other way's span that one way may say alone
 
 }  // namespace

@@ -14,6 +14,7 @@ namespace satsurf::scene {
 /// Heights of neighbouring pixels, local m.
 using Patch = std::vector<float>;
 
+constexpr double kNear = 20;          ///< m from all others up to which heights are close together
 constexpr double kLargestStep = 100;  ///< m between heights of one scene with none in between
 
 /// Lowest and highest height that is found more often than chance finds it. Chance matches are

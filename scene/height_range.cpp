@@ -209,7 +209,7 @@ class HeightSearch {
     // than two windows; but for what nearly touches the rest, where it widens the
     // span by little.
     constexpr double kSame = 0.5, kSure = 0.3, kSameInOne = 0.75, kSureInOne = 0.5;
-    constexpr double kTouching = 20, kSameTouching = 0.7, kSureTouching = 0.25;
+    constexpr double kSameTouching = 0.7, kSureTouching = 0.25;
     constexpr Index kLarge = 2 * HeightSweep::kPatch;
     int seeing = 0, agreeing = 0;
     Shares most;
@@ -220,7 +220,7 @@ class HeightSearch {
       ++seeing, agreeing += shares->same >= kSame ? 1 : 0;
       most = {std::max(most.same, shares->same), std::max(most.sure, shares->sure)};
     }
-    if (seeing == 1 && gap <= kTouching)
+    if (seeing == 1 && gap <= kNear)
       return most.same >= kSameTouching && most.sure >= kSureTouching;
     if (seeing == 1)
       return most.same >= kSameInOne && most.sure >= kSureInOne &&
