@@ -70,7 +70,7 @@ Normalised<T> CostNet<T>::first_of(const PlaneSweep<T>& sweep,
   const Index C = of[0], D = of[1], H = of[2], W = of[3];
   const BasicVar<T> weight = first_weight();
   const Index O = weight.dim(0), rows = std::min(H, band_rows(C * D * W));
-  auto out = rows < H ? BasicTensor<T>::uninitialised({1, O, D, H, W}) : BasicTensor<T>();
+  auto out = BasicTensor<T>::uninitialised({1, O, D, H, W});
   ChannelMoments moments(static_cast<std::size_t>(O));
   BasicTensor<T> before;  // the band above, whose last two rows are needed once more
   for (Index first = 0; first < H; first += rows) {
@@ -92,14 +92,10 @@ Normalised<T> CostNet<T>::first_of(const PlaneSweep<T>& sweep,
     sweep.rows(fresh, first + n + (below ? 1 : 0), band.data() + (fresh - first + 1) * W, plane);
     before = band;
     ChannelMoments of_band;
-    BasicTensor<T> part = conv3d(Normalised<T>(BasicVar<T>(std::move(band))), weight, {},
-                                 {.padding = {1, 0, 1}}, &of_band)
-                              .value();
-    if (n == H) return first_.finished(BasicVar<T>(std::move(part)), of_band);
+    conv3d_rows(Normalised<T>(BasicVar<T>(std::move(band))), weight, {1, 0, 1}, out, first,
+                &of_band);
+    if (n == H) return first_.finished(BasicVar<T>(std::move(out)), of_band);
     for (std::size_t c = 0; c < moments.size(); ++c) moments[c].merge(of_band[c]);
-    for_each_index(O * D, [&](Index k) {
-      std::copy_n(part.data() + k * n * W, n * W, out.data() + (k * H + first) * W);
-    });
   }
   return first_.finished(BasicVar<T>(std::move(out)), moments);
 }

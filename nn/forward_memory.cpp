@@ -41,9 +41,7 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
     const Index H = height / kStrides[s], W = width / kStrides[s],
                 channels = config.base * kStrides[s] + (config.best_pair ? kPairChannels : 0),
                 row = channels * config.hypotheses[s] * W, rows = row > 0 ? band_rows(row) : H;
-    const Index floats =
-        rows < H ? 2 * (rows + 2) * row + rows * config.volume_base * config.hypotheses[s] * W
-                 : (H + 2) * row;
+    const Index floats = rows < H ? 2 * (rows + 2) * row : (H + 2) * row;
     if (!config.visible_pairs) return static_cast<double>(floats);
     // Whole: the volume before and after the pairs' channels join it, or that of the last pair and
     // the costs of all, before and behind their concatenation.
@@ -61,7 +59,7 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
     if (s > 0 && wanted == Wanted::discs) kept -= distribution_of(s - 1);
     if (mono && s < 2) kept += N * p;
     // Of one view the features' pixels, and two bands of the volume with what the first convolution
-    // makes of all, or the sum at the U-Net's end; then logits, their concatenation and the
+    // makes of it, or the sum at the U-Net's end; then logits, their concatenation and the
     // probabilities of all views.
     const double scratch = std::min(kScratch * workers, 0.25 * D * p * v * pixels) / pixels;
     const double first = bands_of(s) / (p * pixels) + D * v;

@@ -101,6 +101,26 @@ BasicVar<T> correlation(const char* op, const Geometry& g, const Shape& shape,
   });
 }
 
+/// Of a 3D correlation, whose input and weight it checks.
+template <class T>
+Geometry volume_geometry(const char* op, Dims& dim, const Normalised<T>& x,
+                         const BasicVar<T>& weight, const Conv3dOptions& options) {
+  detail::check_normalised(op, x);
+  dim.match("x", x.shape(), "B C D H W").match("weight", weight, "O C KD KH KW");
+  check_options(op, options.stride, options.padding);
+  check_kernel(op, weight.shape());
+  Geometry g{.B = dim["B"],
+             .C = dim["C"],
+             .O = dim["O"],
+             .x_size = {dim["D"], dim["H"], dim["W"]},
+             .y_size = {},
+             .kernel = {dim["KD"], dim["KH"], dim["KW"]},
+             .stride = options.stride,
+             .padding = options.padding};
+  set_y_size(op, x.shape(), weight.shape(), g);
+  return g;
+}
+
 }  // namespace
 
 template <class T>
@@ -128,24 +148,28 @@ BasicVar<T> conv2d(const Normalised<T>& x, const BasicVar<T>& weight, const Basi
 template <class T>
 BasicVar<T> conv3d(const Normalised<T>& x, const BasicVar<T>& weight, const BasicVar<T>& bias,
                    const Conv3dOptions& options, ChannelMoments* moments) {
-  detail::check_normalised("conv3d", x);
   Dims dim("conv3d");
-  dim.match("x", x.shape(), "B C D H W").match("weight", weight, "O C KD KH KW");
+  const Geometry g = volume_geometry("conv3d", dim, x, weight, options);
   if (!bias.empty()) dim.match("bias", bias, "O");
-  check_options("conv3d", options.stride, options.padding);
-  check_kernel("conv3d", weight.shape());
-
-  Geometry g{.B = dim["B"],
-             .C = dim["C"],
-             .O = dim["O"],
-             .x_size = {dim["D"], dim["H"], dim["W"]},
-             .y_size = {},
-             .kernel = {dim["KD"], dim["KH"], dim["KW"]},
-             .stride = options.stride,
-             .padding = options.padding};
-  set_y_size("conv3d", x.shape(), weight.shape(), g);
   return correlation("conv3d", g, {g.B, g.O, g.y_size[0], g.y_size[1], g.y_size[2]}, x, weight,
                      bias, moments);
+}
+
+template <class T>
+void conv3d_rows(const Normalised<T>& x, const BasicVar<T>& weight,
+                 const std::array<Index, 3>& padding, BasicTensor<T>& out, Index first_row,
+                 ChannelMoments* moments) {
+  Dims dim("conv3d_rows");
+  const Geometry g = volume_geometry("conv3d_rows", dim.match("x", x.shape(), "1 C D H W"), x,
+                                     weight, {.padding = padding});
+  const auto [D, H, W] = g.y_size;
+  const Index rows = dim.match("out", out, "1 O OD OH OW")["OH"];
+  if (out.shape() != Shape{1, g.O, D, rows, W} || first_row < 0 || first_row + H > rows)
+    throw ShapeError("conv3d_rows: rows from " + std::to_string(first_row) +
+                     " on in out of shape " + out.shape().str() + ", expected room for " +
+                     Shape{1, g.O, D, H, W}.str());
+  conv::correlate<T>(active_kernels<ConvKernels<T>>(), g, input_of(x), weight.value().data(),
+                     nullptr, out.data() + first_row * W, false, moments, rows * W);
 }
 
 template <class T>
@@ -207,6 +231,11 @@ template BasicVar<float> conv3d(const Normalised<float>&, const BasicVar<float>&
                                 const BasicVar<float>&, const Conv3dOptions&, ChannelMoments*);
 template BasicVar<double> conv3d(const Normalised<double>&, const BasicVar<double>&,
                                  const BasicVar<double>&, const Conv3dOptions&, ChannelMoments*);
+template void conv3d_rows(const Normalised<float>&, const BasicVar<float>&,
+                          const std::array<Index, 3>&, Tensor&, Index, ChannelMoments*);
+template void conv3d_rows(const Normalised<double>&, const BasicVar<double>&,
+                          const std::array<Index, 3>&, BasicTensor<double>&, Index,
+                          ChannelMoments*);
 template BasicVar<float> conv_transpose3d(const Normalised<float>&, const BasicVar<float>&,
                                           const BasicVar<float>&, const ConvTranspose3dOptions&,
                                           ChannelMoments*);

@@ -58,6 +58,19 @@ BasicVar<T> conv3d(const BasicVar<T>& x, const BasicVar<T>& weight, const BasicV
   return conv3d(Normalised<T>(x), weight, bias, options, moments);
 }
 
+/// Rows of a conv3d with stride 1, written into a larger tensor; nothing goes on the tape.
+/// x        [1 C D H W]
+/// weight   [O C KD KH KW]
+/// padding  as in Conv3dOptions
+/// out      [1 O D' R W'] with D' and W' as in conv3d, whose rows first_row and following are
+///          overwritten, as many as the H' of conv3d
+/// moments  takes those of the rows' channels
+/// throws   ShapeError, also where the rows are not within out
+template <class T>
+void conv3d_rows(const Normalised<T>& x, const BasicVar<T>& weight,
+                 const std::array<Index, 3>& padding, BasicTensor<T>& out, Index first_row,
+                 ChannelMoments* moments = nullptr);
+
 /// Transposed 3D convolution: the data gradient of conv3d with the same options, as a forward op.
 /// x        [B C D H W]
 /// weight   [C O KD KH KW]

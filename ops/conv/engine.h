@@ -84,10 +84,11 @@ struct Input {
 /// bias    [O], or nullptr
 /// y       [B O y_size], added to if `accumulate`, overwritten otherwise
 /// moments of y's channels [B O], or nullptr if nobody asks
+/// y_plane elements between the planes of y where these are rows of larger ones, 0 otherwise
 template <class T>
 void correlate(const ConvKernels<T>& kernels, const Geometry& geometry, const Input<T>& x,
                const T* weight, const T* bias, T* y, bool accumulate,
-               ChannelMoments* moments = nullptr);
+               ChannelMoments* moments = nullptr, Index y_plane = 0);
 
 /// The adjoint of `correlate` in x:
 ///   x[b,c,n*stride+t-padding] = bias[c] + sum_{o,t} weight[o,c,t] y[b,o,n]

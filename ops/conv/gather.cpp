@@ -57,8 +57,9 @@ struct Result {
 template <class T>
 class Gather {
  public:
+  /// out_plane  elements between the planes of the output
   Gather(const ConvKernels<T>& kernels, Axes axes, const Geometry& g, Index C, Index O,
-         const std::array<Index, 3>& out_size, Route route)
+         const std::array<Index, 3>& out_size, Index out_plane, Route route)
       : kernels_(kernels),
         route_(route),
         block_(route == Route::lanes ? kernels.lanes : kConvBlock),
@@ -72,6 +73,7 @@ class Gather {
         O_(O),
         K_(kernel_[0] * kernel_[1] * kernel_[2]),
         out_size_(out_size),
+        out_plane_(out_plane),
         phases_(list_phases(axes_, kernel_)) {}
 
   /// o_stride, c_stride  between the kernels of neighbouring outputs and channels, in kernels
@@ -163,7 +165,7 @@ class Gather {
     const Index first = (axes_[1].mixed ? 0 : phase.first_row) + piece.row * group * step;
     const Index last = std::min(H, first + rows * group * step);
     for (Index i = o; i < o + outputs; ++i) {
-      const T* plane = out + ((piece.b * O_ + i) * out_size_[0] + z) * H * W;
+      const T* plane = out + ((piece.b * O_ + i) * out_size_[0] + z) * out_plane_;
       if (step == 1) {
         prefetch(plane + first * W, plane + last * W);
         continue;
@@ -175,8 +177,8 @@ class Gather {
   /// The routes without lines. They have one phase.
   void gather_directly(const Piece& piece, Index z, Index rows, Index o, const Slab<T>& slab,
                        const T* packed, const Result<T>& to, ConvGather<T>& gather) const {
-    const Index H = out_size_[1], W = out_size_[2], count = out_size_[0] * H * W;
-    T* const first = to.out + (piece.b * O_ + o) * count + (z * H + piece.row) * W;
+    const Index W = out_size_[2], count = out_size_[0] * out_plane_;
+    T* const first = to.out + (piece.b * O_ + o) * count + z * out_plane_ + piece.row * W;
     alignas(64) T start[kMostLanes] = {};
     if (to.bias != nullptr) std::copy_n(to.bias + o, gather.outputs, start);
     gather.taps = K_;
@@ -202,7 +204,7 @@ class Gather {
     const Index row_phases = axes_[1].mixed ? 1 : std::ssize(axes_[1].phases);
     const Index width = lines.dim(2), phase_stride = kConvBlock * width;
     for (Index i = 0; i < outputs; ++i) {
-      T* plane = to.out + ((piece.b * O_ + o + i) * out_size_[0] + z) * H * W;
+      T* plane = to.out + ((piece.b * O_ + o + i) * out_size_[0] + z) * out_plane_;
       const T b = to.bias == nullptr ? T(0) : to.bias[o + i];
       for (Index r = 0; r < rows; ++r) {
         const T* line = lines.data() + i * width + r * pitch;
@@ -245,6 +247,7 @@ class Gather {
   const std::array<Index, 3> kernel_;
   const Index B_, C_, O_, K_;
   const std::array<Index, 3> out_size_;
+  const Index out_plane_;
   const std::vector<PhaseTaps> phases_;
 };
 
@@ -252,9 +255,10 @@ class Gather {
 
 template <class T>
 void correlate(const ConvKernels<T>& kernels, const Geometry& g, const Input<T>& x, const T* weight,
-               const T* bias, T* y, bool accumulate, ChannelMoments* moments) {
-  const Geometry shape = single_tap(g) ? as_lines(g) : g;
+               const T* bias, T* y, bool accumulate, ChannelMoments* moments, Index y_plane) {
+  const Geometry shape = single_tap(g) && y_plane == 0 ? as_lines(g) : g;
   const Gather<T> gather(kernels, correlation_axes(shape), shape, g.C, g.O, shape.y_size,
+                         y_plane > 0 ? y_plane : shape.y_size[1] * shape.y_size[2],
                          correlation_route(kernels, shape));
   gather.run(x, weight, g.C, 1, bias, y, accumulate, moments);
 }
@@ -265,14 +269,15 @@ void correlate_adjoint(const ConvKernels<T>& kernels, const Geometry& g, const I
                        ChannelMoments* moments) {
   const Geometry shape = single_tap(g) ? as_lines(g) : g;
   const Route route = single_tap(g) ? correlation_route(kernels, shape) : Route::lines;
-  const Gather<T> gather(kernels, adjoint_axes(shape), shape, g.O, g.C, shape.x_size, route);
+  const Gather<T> gather(kernels, adjoint_axes(shape), shape, g.O, g.C, shape.x_size,
+                         shape.x_size[1] * shape.x_size[2], route);
   gather.run(y, weight, 1, g.C, bias, x, accumulate, moments);
 }
 
 template void correlate(const ConvKernels<float>&, const Geometry&, const Input<float>&,
-                        const float*, const float*, float*, bool, ChannelMoments*);
+                        const float*, const float*, float*, bool, ChannelMoments*, Index);
 template void correlate(const ConvKernels<double>&, const Geometry&, const Input<double>&,
-                        const double*, const double*, double*, bool, ChannelMoments*);
+                        const double*, const double*, double*, bool, ChannelMoments*, Index);
 template void correlate_adjoint(const ConvKernels<float>&, const Geometry&, const Input<float>&,
                                 const float*, const float*, float*, bool, ChannelMoments*);
 template void correlate_adjoint(const ConvKernels<double>&, const Geometry&, const Input<double>&,

@@ -392,6 +392,47 @@ TEST_CASE("convolutions give the same bits on one and on two threads") {
   }
 }
 
+TEST_CASE("conv3d_rows writes the rows of conv3d into a larger tensor and nothing else") {
+  struct RowsCase {
+    Index C, O;
+    std::array<Index, 3> x, kernel, padding;
+  };
+  // mixed rows, too few outputs for that, and one tap, whose planes are joined otherwise
+  for (const RowsCase& c : {RowsCase{5, 9, {3, 7, 37}, {3, 3, 3}, {1, 0, 1}},
+                            RowsCase{3, 1, {3, 6, 18}, {3, 3, 3}, {1, 0, 1}},
+                            RowsCase{4, 8, {2, 4, 32}, {1, 1, 1}, {0, 0, 0}}}) {
+    CAPTURE(c.O);
+    const auto x = normal({1, c.C, c.x[0], c.x[1], c.x[2]}, 1);
+    const BasicVar<double> w(normal({c.O, c.C, c.kernel[0], c.kernel[1], c.kernel[2]}, 2));
+    const Normalised<double> in{BasicVar<double>(x), BasicVar<double>(normal({3, 1, c.C}, 3)),
+                                Activation::relu};
+    ChannelMoments moments, of_rows;
+    const auto whole = conv3d(in, w, {}, {.padding = c.padding}, &moments).value();
+    constexpr Index kFirst = 2, kBehind = 3;
+    const Index D = whole.dim(2), H = whole.dim(3), W = whole.dim(4), R = kFirst + H + kBehind;
+    BasicTensor<double> out({1, c.O, D, R, W}, -7.0);
+    conv3d_rows(in, w, c.padding, out, kFirst, &of_rows);
+    bool equal = true, kept = true;
+    for (Index plane = 0; plane < c.O * D; ++plane)
+      for (Index y = 0; y < R; ++y)
+        for (Index k = 0; k < W; ++k) {
+          const double v = out[(plane * R + y) * W + k];
+          if (y < kFirst || y >= kFirst + H)
+            kept = kept && v == -7;
+          else
+            equal = equal && std::abs(v - whole[(plane * H + y - kFirst) * W + k]) < 1e-12;
+        }
+    CHECK(equal);
+    CHECK(kept);
+    REQUIRE(of_rows.size() == moments.size());
+    for (std::size_t o = 0; o < moments.size(); ++o) {
+      CHECK(of_rows[o].count == moments[o].count);
+      CHECK(of_rows[o].mean == doctest::Approx(moments[o].mean));
+      CHECK(of_rows[o].m2 == doctest::Approx(moments[o].m2));
+    }
+  }
+}
+
 TEST_CASE("convolutions of no image") {
   const BasicVar<double> x(BasicTensor<double>({0, 2, 5, 7}), true),
       w(normal({3, 2, 3, 3}, 1), true);
@@ -425,6 +466,15 @@ TEST_CASE("convolutions refuse what does not fit") {
   CHECK_THROWS_WITH_AS(
       conv3d(var({2, 3, 2, 5, 7}), var({4, 2, 1, 3, 3}), none),
       "conv3d: weight has shape [4,2,1,3,3], expected [O C KD KH KW] with C=3 from x", ShapeError);
+  auto rows = BasicTensor<double>({1, 4, 2, 6, 7});
+  CHECK_THROWS_WITH_AS(conv3d_rows<double>(var({1, 2, 2, 5, 7}), var({4, 2, 1, 1, 1}), {}, rows, 2),
+                       "conv3d_rows: rows from 2 on in out of shape [1,4,2,6,7], expected room for "
+                       "[1,4,2,5,7]",
+                       ShapeError);
+  CHECK_THROWS_AS(conv3d_rows<double>(var({1, 2, 2, 5, 6}), var({4, 2, 1, 1, 1}), {}, rows, 0),
+                  ShapeError);
+  CHECK_THROWS_AS(conv3d_rows<double>(var({2, 2, 2, 5, 7}), var({4, 2, 1, 1, 1}), {}, rows, 0),
+                  ShapeError);
   CHECK_THROWS_WITH_AS(
       conv_transpose3d(var({2, 3, 2, 5, 7}), var({4, 2, 1, 3, 3}), none),
       "conv_transpose3d: weight has shape [4,2,1,3,3], expected [C O KD KH KW] with "
