@@ -45,9 +45,14 @@ BasicTensor<T> probability_within(const StageHeights<T>& stage, double reach) {
       std::fill(out.data() + from, out.data() + to, T(0));
       for (Index d = 0; d < D; ++d) {
         const Index at = (n * D + d - n) * P;  // from a pixel of the maps to one of the volume
+        const T *p = probability.data() + at, *h = hypotheses.data() + at, *z = height.data();
+        T* const sum = out.data();
         for (Index i = from; i < to; ++i) {
-          const T intervals = std::abs(hypotheses[at + i] - height[i]) * scale;
-          out[i] += probability[at + i] * std::clamp(most - intervals, T(0), T(1));
+          // two choices instead of std::clamp, which keeps the compiler from using vectors
+          T share = most - std::abs(h[i] - z[i]) * scale;
+          share = share > T(0) ? share : T(0);
+          share = share < T(1) ? share : T(1);
+          sum[i] += p[i] * share;
         }
       }
       // probabilities add up to 1 but for rounding

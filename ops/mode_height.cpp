@@ -5,11 +5,17 @@
 #include "satsurf/core/parallel.h"
 
 #include <algorithm>
+#include <cstdint>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 namespace satsurf {
 namespace {
+
+/// A number as wide as those compared, so that one vector chooses in both.
+template <class T>
+using PlaceOf = std::conditional_t<sizeof(T) == 4, std::int32_t, std::int64_t>;
 
 /// The first and last hypothesis near each mode, and the probability of them together.
 template <class T>
@@ -36,30 +42,40 @@ BasicVar<T> mode_height(const BasicVar<T>& probability, const BasicTensor<T>& he
   modes.last.resize(modes.first.size());
   modes.mass = BasicTensor<T>::uninitialised({B, H, W});
   auto out = BasicTensor<T>::uninitialised({B, H, W});
+  using Place = PlaceOf<T>;
   const T *p = probability.value().data(), *h = heights.data();
   for_each_index(B * H, [&](Index row) {
     const Index at = row / H * D * P + row % H * W;  // of the volume
-    const auto together = [&](Index d, Index x) {    // with the hypotheses next to it
-      const T* here = p + at + d * P + x;
-      T sum = here[0];
-      if (radius > 0 && d > 0) sum += here[-P];
-      if (radius > 0 && d + 1 < D) sum += here[P];
-      return sum;
-    };
-    std::vector<T> highest(static_cast<std::size_t>(W));
-    std::vector<Index> mode(static_cast<std::size_t>(W), 0);
-    for (Index x = 0; x < W; ++x) highest[x] = together(0, x);
-    for (Index d = 1; d < D; ++d)
+    std::vector<T> highest(static_cast<std::size_t>(W), T(-1));
+    std::vector<Place> mode(highest.size(), 0);
+    // With the hypotheses next to it. The loops have no branch, so that vectors can take them.
+    const auto compare = [&](Index d, const auto& together) {
+      const T* const here = p + at + d * P;
+      T* const most = highest.data();
+      Place* const where = mode.data();
+      const auto place = static_cast<Place>(d);
       for (Index x = 0; x < W; ++x) {
-        const T sum = together(d, x);
-        if (sum > highest[x]) {
-          highest[x] = sum;
-          mode[x] = d;
-        }
+        const T sum = together(here + x), before = most[x];
+        const Place higher = -static_cast<Place>(sum > before);  // all bits or none
+        most[x] = std::max(before, sum);
+        where[x] = (place & higher) | (where[x] & ~higher);
       }
+    };
+    for (Index d = 0; d < D; ++d) {
+      const bool below = radius > 0 && d > 0, above = radius > 0 && d + 1 < D;
+      if (below && above)
+        compare(d, [P](const T* here) { return here[0] + here[-P] + here[P]; });
+      else if (below)
+        compare(d, [P](const T* here) { return here[0] + here[-P]; });
+      else if (above)
+        compare(d, [P](const T* here) { return here[0] + here[P]; });
+      else
+        compare(d, [](const T* here) { return here[0]; });
+    }
     for (Index x = 0; x < W; ++x) {
-      const Index first = std::max<Index>(0, mode[x] - radius),
-                  last = std::min(D - 1, mode[x] + radius);
+      const Index at_mode = static_cast<Index>(mode[x]),
+                  first = std::max<Index>(0, at_mode - radius),
+                  last = std::min(D - 1, at_mode + radius);
       T mass = 0, moment = 0;
       for (Index d = first; d <= last; ++d) {
         mass += p[at + d * P + x];
