@@ -5,6 +5,7 @@
 
 #include <initializer_list>
 #include <memory>
+#include <type_traits>
 #include <vector>
 
 namespace satsurf {
@@ -64,9 +65,14 @@ class BasicTensor {
   template <class U>
   BasicTensor<U> cast() const {
     if (empty()) return {};
-    auto out = BasicTensor<U>::uninitialised(shape_);
-    for (Index i = 0; i < count(); ++i) out[i] = static_cast<U>((*this)[i]);
-    return out;
+    if constexpr (std::is_same_v<T, U>) {
+      return clone();
+    } else {
+      auto out = BasicTensor<U>::uninitialised(shape_);
+      const Index n = count();
+      for (Index i = 0; i < n; ++i) out[i] = static_cast<U>((*this)[i]);
+      return out;
+    }
   }
   void fill(T value);
 

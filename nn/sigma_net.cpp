@@ -97,7 +97,7 @@ BasicVar<T> SigmaNet<T>::operator()(const Tensor& channels) const {
   const Var all(channels);
   for (Index y = 0; y < H; y += rows) {
     const BasicVar<T> strip(slice(all, 2, y, std::min(H, y + rows)).value().template cast<T>());
-    strips.push_back(head_(relu(second_(relu(first_(strip))))));
+    strips.push_back(head_(then_relu(second_(then_relu(first_(strip))))));
   }
   return reshape(strips.size() == 1 ? strips.front() : concat(strips, 2), {H, W});
 }

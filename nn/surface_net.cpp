@@ -153,18 +153,19 @@ BasicTensor<T> SurfaceNet<T>::channels(const SurfaceInput& input) {
 
 template <class T>
 BasicVar<T> SurfaceNet<T>::maps(const BasicTensor<T>& channels) const {
-  std::vector<BasicVar<T>> skips{relu(stem_(BasicVar<T>(channels)))};
+  std::vector<Normalised<T>> skips{then_relu(stem_(BasicVar<T>(channels)))};
   for (const Down& down : down_) {
-    BasicVar<T> x = relu(down.halve(skips.back()));
-    for (const Conv2d<T>& same : down.same) x = relu(same(x));
+    Normalised<T> x = then_relu(down.halve(skips.back()));
+    for (const Conv2d<T>& same : down.same) x = then_relu(same(x));
     skips.push_back(std::move(x));
   }
-  BasicVar<T> x = std::move(skips.back());
+  Normalised<T> x = std::move(skips.back());
   for (const Up& up : up_) {
     skips.pop_back();
-    const BasicVar<T>& skip = skips.back();
+    const Normalised<T>& skip = skips.back();
     // a 1 x 1 convolution and a resampling commute; this order costs a quarter
-    x = relu(up.same(resize_bilinear(up.reduce(x), skip.dim(2), skip.dim(3)) + skip));
+    BasicVar<T> wide = resize_bilinear(up.reduce(x), skip.dim(2), skip.dim(3));
+    x = then_relu(up.same(add<T>(std::move(wide), skip)));
   }
   return head_(x);
 }

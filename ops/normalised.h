@@ -32,6 +32,12 @@ struct Normalised {
   Index dim(Index axis) const { return x.dim(axis); }
 };
 
+/// relu(x), left to the next reader.
+template <class T>
+Normalised<T> then_relu(BasicVar<T> x) {
+  return {std::move(x), {}, Activation::relu};
+}
+
 /// The value itself.
 /// returns  x's shape
 /// throws   ShapeError

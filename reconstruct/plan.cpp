@@ -172,7 +172,7 @@ WorkMemory work_memory(const nn::ModelConfig& model, const WorkSize& size, Surfa
   constexpr double kSplat = 24, kMaps = 19;      // floats a surfel, floats a cell, to render
   constexpr double kLists = 21;                  // floats a surfel, beside the tensors
   constexpr double kFuse = 18, kFused = 5;       // floats a surfel, floats a cell, to fuse
-  constexpr double kRefine = 3, kRefined = 176;  // alike, to refine
+  constexpr double kRefine = 3, kRefined = 163;  // alike, to refine
   constexpr double kHeights = 9, kMesh = 84;     // floats a pixel, floats a column of voxels
   constexpr int kWorkers = 16;  // whatever there are: sizes of tiles must not depend on them
   const Index views = size.views;
