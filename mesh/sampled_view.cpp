@@ -22,8 +22,6 @@ constexpr double kLeastCosine = 0.03;
 // 2.5 on: enough against a single wrong pixel, not enough to push a wall.
 constexpr double kFull = 1, kFaded = 2.5, kBehind = 0.01;
 
-}  // namespace
-
 void check_fusion(const FusionOptions& options) {
   char text[120];
   if (!(options.voxel > 0) || !std::isfinite(options.voxel)) {
@@ -37,6 +35,8 @@ void check_fusion(const FusionOptions& options) {
     throw ConfigError(text);
   }
 }
+
+}  // namespace
 
 SampledView::SampledView(const HeightImage& view, const FusionOptions& options)
     : projection_(view.pixel_from_local),
@@ -153,6 +153,15 @@ SampledView::Answer SampledView::ask(double x, double y, double z, double slant)
   const double d = (z - height_at(x, y, nearest)) * slant;
   const double fade = std::clamp((d / voxel_ + kFaded) / (kFaded - kFull), kBehind, 1.0);
   return {std::clamp(d, -limit_, limit_), static_cast<double>(sample.weight) * fade};
+}
+
+std::vector<SampledView> sampled_views(std::span<const HeightImage> views,
+                                       const FusionOptions& options) {
+  check_fusion(options);
+  std::vector<SampledView> sampled;
+  sampled.reserve(views.size());
+  for (const HeightImage& v : views) sampled.emplace_back(v, options);
+  return sampled;
 }
 
 }  // namespace satsurf::mesh

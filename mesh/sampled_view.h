@@ -4,6 +4,7 @@
 #include "satsurf/mesh/tsdf.h"
 
 #include <array>
+#include <span>
 #include <vector>
 
 namespace satsurf::mesh {
@@ -53,7 +54,15 @@ class SampledView {
   std::vector<std::array<float, 2>> ground_;
 };
 
-/// throws  ConfigError for options out of their range
-void check_fusion(const FusionOptions& options);
+/// throws  ConfigError for options out of their range, ShapeError
+std::vector<SampledView> sampled_views(std::span<const HeightImage> views,
+                                       const FusionOptions& options);
+
+/// `fuse` and `colour_vertices` of views that are ready.
+/// sampled  lose their `ground`
+Tsdf fuse(std::vector<SampledView>& sampled, std::span<const HeightImage> views,
+          const FusionOptions& options);
+void colour_vertices(Mesh& mesh, const std::vector<SampledView>& sampled,
+                     std::span<const HeightImage> views, const FusionOptions& options);
 
 }  // namespace satsurf::mesh

@@ -4,6 +4,7 @@
 #include "satsurf/core/error.h"
 #include "satsurf/core/parallel.h"
 #include "satsurf/mesh/geometry.h"
+#include "satsurf/mesh/sampled_view.h"
 
 #include <algorithm>
 #include <cmath>
@@ -204,8 +205,9 @@ Mesh extract_surface(const Tsdf& field, double least_area) {
 }
 
 Mesh mesh_from_views(std::span<const HeightImage> views, const FusionOptions& options) {
-  Mesh mesh = extract_surface(fuse(views, options), least_area_of(options));
-  colour_vertices(mesh, views, options);
+  std::vector<SampledView> sampled = sampled_views(views, options);
+  Mesh mesh = extract_surface(fuse(sampled, views, options), least_area_of(options));
+  colour_vertices(mesh, sampled, views, options);
   return mesh;
 }
 

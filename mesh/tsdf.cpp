@@ -230,12 +230,14 @@ float Tsdf::at(Index i, Index j, Index k) const {
 }
 
 Tsdf fuse(std::span<const HeightImage> views, const FusionOptions& options) {
-  check_fusion(options);
+  std::vector<SampledView> sampled = sampled_views(views, options);
+  return fuse(sampled, views, options);
+}
+
+Tsdf fuse(std::vector<SampledView>& sampled, std::span<const HeightImage> views,
+          const FusionOptions& options) {
   Tsdf field;
   field.voxel = options.voxel, field.truncation = options.truncation;
-  std::vector<SampledView> sampled;
-  sampled.reserve(views.size());
-  for (const HeightImage& v : views) sampled.emplace_back(v, options);
   place_tiles(field, sampled);
   {
     LayerRanges ranges(field.columns * field.rows);
@@ -250,14 +252,15 @@ Tsdf fuse(std::span<const HeightImage> views, const FusionOptions& options) {
 }
 
 void colour_vertices(Mesh& mesh, std::span<const HeightImage> views, const FusionOptions& options) {
-  check_fusion(options);
+  colour_vertices(mesh, sampled_views(views, options), views, options);
+}
+
+void colour_vertices(Mesh& mesh, const std::vector<SampledView>& sampled,
+                     std::span<const HeightImage> views, const FusionOptions& options) {
   constexpr float kGrey = 0.5f;
   mesh.colours.clear();
   if (std::all_of(views.begin(), views.end(), [](const HeightImage& v) { return v.rgb.empty(); }))
     return;
-  std::vector<SampledView> sampled;
-  sampled.reserve(views.size());
-  for (const HeightImage& v : views) sampled.emplace_back(v, options);
   mesh.colours.resize(mesh.vertices.size());
   for_range(static_cast<Index>(mesh.vertices.size()), 4096, [&](Index begin, Index end) {
     for (auto n = static_cast<std::size_t>(begin); n < static_cast<std::size_t>(end); ++n) {

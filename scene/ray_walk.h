@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <limits>
 #include <vector>
 
@@ -34,14 +35,24 @@ class ColumnField {
   Hit walk(double x_high, double y_high, double x_low, double y_low) const;
 
  private:
+  /// The highest column of every square block; +infinity where it holds an unknown one.
+  struct Blocks {
+    Index columns;  ///< of blocks
+    std::vector<float> high;
+
+    float at(Index row, Index column) const {
+      return high[static_cast<std::size_t>(row * columns + column)];
+    }
+  };
   static constexpr Index kBlock = 8;  // 8 x 8 columns: measured best of 4, 8, 16 on city scenes
+  static constexpr Index kGroup = 8;  // 8 x 8 blocks
 
   const float* z_;
-  Index rows_, cols_, block_cols_;
+  Index rows_, cols_;
   double x0_, y0_, inverse_step_;
   double low_ = std::numeric_limits<double>::infinity();
   double high_ = -std::numeric_limits<double>::infinity();
-  std::vector<float> block_high_;  // +infinity where a block holds an unknown column
+  Blocks blocks_, groups_;
 };
 
 }  // namespace satsurf::scene

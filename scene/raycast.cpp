@@ -55,13 +55,13 @@ ColumnField::ColumnField(const HeightField& field)
   dim.match("field.z", field.z, "H W");
   rows_ = dim["H"];
   cols_ = dim["W"];
-  block_cols_ = (cols_ + kBlock - 1) / kBlock;
-  const Index block_rows = (rows_ + kBlock - 1) / kBlock;
-  block_high_.assign(static_cast<std::size_t>(block_rows * block_cols_), 0.0f);
-  std::vector<float> lows(block_high_.size()), highs(block_high_.size());
+  const auto blocks_of = [](Index count, Index side) { return (count + side - 1) / side; };
+  const Index block_rows = blocks_of(rows_, kBlock), block_cols = blocks_of(cols_, kBlock);
+  blocks_ = {block_cols, std::vector<float>(static_cast<std::size_t>(block_rows * block_cols))};
+  std::vector<float> lows(blocks_.high.size()), highs(blocks_.high.size());
   for_range(block_rows, 8, [&](Index begin, Index end) {
     for (Index br = begin; br < end; ++br) {
-      for (Index bc = 0; bc < block_cols_; ++bc) {
+      for (Index bc = 0; bc < block_cols; ++bc) {
         float low = std::numeric_limits<float>::infinity(), high = -low;
         bool unknown = false;
         for (Index r = br * kBlock; r < std::min(rows_, (br + 1) * kBlock); ++r) {
@@ -72,13 +72,22 @@ ColumnField::ColumnField(const HeightField& field)
             high = z > high ? z : high;
           }
         }
-        const auto i = static_cast<std::size_t>(br * block_cols_ + bc);
+        const auto i = static_cast<std::size_t>(br * block_cols + bc);
         lows[i] = low;
         highs[i] = high;
-        block_high_[i] = unknown ? std::numeric_limits<float>::infinity() : high;
+        blocks_.high[i] = unknown ? std::numeric_limits<float>::infinity() : high;
       }
     }
   });
+  const Index group_rows = blocks_of(block_rows, kGroup),
+              group_cols = blocks_of(block_cols, kGroup);
+  groups_ = {group_cols, std::vector<float>(static_cast<std::size_t>(group_rows * group_cols),
+                                            -std::numeric_limits<float>::infinity())};
+  for (Index br = 0; br < block_rows; ++br)
+    for (Index bc = 0; bc < block_cols; ++bc) {
+      float& high = groups_.high[static_cast<std::size_t>(br / kGroup * group_cols + bc / kGroup)];
+      high = std::max(high, blocks_.at(br, bc));
+    }
   for (const float z : lows) low_ = std::min(low_, static_cast<double>(z));
   for (const float z : highs) high_ = std::max(high_, static_cast<double>(z));
 }
@@ -96,24 +105,37 @@ ColumnField::Hit ColumnField::walk(double x_high, double y_high, double x_low, d
   Index c = cell_of(u.at(s), 0, cols_), r = cell_of(v.at(s), 0, rows_);
   Index front_c = -1, front_r = -1;
   if (entered && high_ - s * drop <= static_cast<double>(z_[r * cols_ + c])) return {};
-  for (;;) {
-    const Index bc = c / kBlock, br = r / kBlock;
-    const double s_u = u.exit(bc * kBlock, kBlock), s_v = v.exit(br * kBlock, kBlock);
-    const double s_block = std::min({s_u, s_v, 1.0});
+  // Steps over the square of columns around, of so many a side, if the ray leaves it above `top`.
+  const auto passes_over = [&](Index side, double top) {
+    const Index first_c = c / side * side, first_r = r / side * side;
+    const double s_u = u.exit(first_c, side), s_v = v.exit(first_r, side);
+    const double s_out = std::min({s_u, s_v, 1.0});
     // Never skip the end: rounding could put it above a block that is all at the lowest height.
-    if (s_block < 1.0 &&
-        high_ - s_block * drop >
-            static_cast<double>(block_high_[static_cast<std::size_t>(br * block_cols_ + bc)])) {
-      s = s_block;
-      // the crossed axis is stepped exactly, the other one is read off
-      const bool by_u = s_u <= s_v;
-      front_c = cell_of(u.at(s), bc * kBlock, kBlock);
-      front_r = cell_of(v.at(s), br * kBlock, kBlock);
-      c = by_u ? (u.sign > 0 ? (bc + 1) * kBlock : bc * kBlock - 1) : front_c;
-      r = by_u ? front_r : (v.sign > 0 ? (br + 1) * kBlock : br * kBlock - 1);
-      if (by_u) front_c = c - u.sign;
-      if (!by_u) front_r = r - v.sign;
-      if (c < 0 || c >= cols_ || r < 0 || r >= rows_) return {};
+    if (!(s_out < 1.0 && high_ - s_out * drop > top)) return false;
+    s = s_out;
+    // the crossed axis is stepped exactly, the other one is read off
+    const bool by_u = s_u <= s_v;
+    front_c = cell_of(u.at(s), first_c, side);
+    front_r = cell_of(v.at(s), first_r, side);
+    c = by_u ? (u.sign > 0 ? first_c + side : first_c - 1) : front_c;
+    r = by_u ? front_r : (v.sign > 0 ? first_r + side : first_r - 1);
+    if (by_u) front_c = c - u.sign;
+    if (!by_u) front_r = r - v.sign;
+    return true;
+  };
+  const auto beyond = [&] { return c < 0 || c >= cols_ || r < 0 || r >= rows_; };
+  Index group = -1;  // that the ray does not pass over
+  for (;;) {
+    const Index bc = c / kBlock, br = r / kBlock, gc = bc / kGroup, gr = br / kGroup;
+    if (const Index here = gr * groups_.columns + gc; here != group) {
+      if (passes_over(kGroup * kBlock, static_cast<double>(groups_.at(gr, gc)))) {
+        if (beyond()) return {};
+        continue;
+      }
+      group = here;
+    }
+    if (passes_over(kBlock, static_cast<double>(blocks_.at(br, bc)))) {
+      if (beyond()) return {};
       continue;
     }
     double next_u = u.exit(c, 1), next_v = v.exit(r, 1);
