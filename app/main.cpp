@@ -12,10 +12,22 @@
 #include <new>
 #include <string>
 
+#if defined(__GLIBC__)
+#include <malloc.h>
+#endif
+
 namespace satsurf::app {
 namespace {
 
 enum ExitCode { kDone = 0, kFailed = 1, kUsage = 2, kSignal = 128 };
+
+/// Keeps what large vectors give back for the next ones: a page costs less to fill than to get.
+void keep_freed_memory() {
+#if defined(__GLIBC__)
+  ::mallopt(M_MMAP_THRESHOLD, 64 << 20);
+  ::mallopt(M_TRIM_THRESHOLD, 256 << 20);
+#endif
+}
 
 void complain(const std::string& text) { log_line(LogLevel::error, text); }
 
@@ -67,6 +79,7 @@ int run_program(int argc, char** argv) {
     return kUsage;
   }
   survive_file_limits();
+  keep_freed_memory();
   open_log(program.common.log_level, program.common.quiet, program.common.log_file);
   set_threads(program.common.threads);
   rpc::trust_drivers(program.common.gdal_drivers);

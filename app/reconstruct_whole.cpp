@@ -94,7 +94,7 @@ RenderedViews render_views(const reconstruct::Reconstruction& made, bool heights
 }
 
 void write_pictures(const OutputFolder& folder, const reconstruct::Reconstruction& made,
-                    const scene::Scene& scene, const RenderedViews& rendered, Progress& progress) {
+                    const scene::Scene& scene, const RenderedViews& rendered) {
   fs::create_directories(folder / "views");
   using Writer = std::function<void(const fs::path&)>;
   const rpc::GeoGrid grid = geo_grid(made.dsm, made.frame);
@@ -106,7 +106,6 @@ void write_pictures(const OutputFolder& folder, const reconstruct::Reconstructio
       {"height.png", map([&] { return height_picture(made.dsm.z); }, &heights)},
       {"hillshade.png", map([&] { return hillshade_picture(made.dsm.z, made.dsm.step); }, nullptr)},
       {"confidence.png", map([&] { return confidence_picture(made.confidence); }, &sure)}};
-  progress.update("pictures", 0);
   for (std::size_t i = 0; i < scene.views.size(); ++i) {
     const scene::View& view = scene.views[i];
     pictures.push_back({"views/" + view.name + "_render.png", [&rendered, i](const fs::path& to) {
@@ -121,7 +120,6 @@ void write_pictures(const OutputFolder& folder, const reconstruct::Reconstructio
     const auto& [name, write] = pictures[static_cast<std::size_t>(i)];
     write(folder / name);
   });
-  progress.update("pictures", 1);
 }
 
 /// Fuses what the views see into a mesh, writes it and says what it is.
@@ -239,20 +237,26 @@ bool reconstruct_whole(ReconstructJob& job) {
   });
   stop_if_interrupted();
   if (job.crs) job.bring_rasters(geo_grid(made.dsm, scene.frame), facts);
-  std::vector<mesh::HeightImage> seen;
+  RenderedViews rendered;
+  std::future<void> pictures;  // beside the mesh, of which parts are not parallel
   job.warnings.attempt("pictures", [&] {
-    RenderedViews rendered = render_views(made, with_mesh, progress);
-    seen = std::move(rendered.heights);
-    write_pictures(folder, made, scene, rendered, progress);
+    rendered = render_views(made, with_mesh, progress);
+    pictures = std::async(threads() > 1 ? std::launch::async : std::launch::deferred,
+                          [&] { write_pictures(folder, made, scene, rendered); });
   });
   stop_if_interrupted();
   if (with_mesh) {
     progress.update("mesh", 0);
-    job.warnings.attempt(
-        "mesh", [&] { facts.mesh = write_mesh(folder / "mesh.ply", seen, made, scene.frame); });
+    job.warnings.attempt("mesh", [&] {
+      facts.mesh = write_mesh(folder / "mesh.ply", rendered.heights, made, scene.frame);
+    });
     progress.update("mesh", 1);
     stop_if_interrupted();
   }
+  progress.update("pictures", 0);
+  if (pictures.valid()) job.warnings.attempt("pictures", [&] { pictures.get(); });
+  progress.update("pictures", 1);
+  stop_if_interrupted();
   surfels.get();
   job.record.results() = results_json(facts, user);
   job.record.results()["memory_by_part"] = memory_by_part(made);
