@@ -49,8 +49,14 @@ Index FeatureExtractor<T>::mono_channels(std::size_t stage) const {
 }
 
 template <class T>
+BasicTensor<T> stacked_images(const NetworkInput& scene) {
+  return stacked<T>(scene.sources, &PosedImage::rgb);
+}
+
+template <class T>
 FeatureMaps<T> FeatureExtractor<T>::operator()(const NetworkInput& scene,
-                                               const std::function<void()>& poll) const {
+                                               const std::function<void()>& poll,
+                                               Wanted wanted) const {
   using Maps = std::vector<BasicVar<T>>;  // of one view each
   std::array<Maps, 3> fpn, mono;
   Maps mono_height;
@@ -63,8 +69,8 @@ FeatureMaps<T> FeatureExtractor<T>::operator()(const NetworkInput& scene,
     if (!mono_) continue;
     if (poll) poll();
     const NoGrad no_grad;
-    const MonoOutput<T> alone = (*mono_)(image);
-    mono_height.push_back(alone.height);
+    const MonoOutput<T> alone = (*mono_)(image, learns(wanted));
+    if (learns(wanted)) mono_height.push_back(alone.height);
     if (!fuses_) continue;
     mono[1].push_back(alone.features_half);
     mono[2].push_back(alone.features_full);
@@ -73,16 +79,17 @@ FeatureMaps<T> FeatureExtractor<T>::operator()(const NetworkInput& scene,
     return maps.empty() ? BasicVar<T>() : concat(std::exchange(maps, {}), 0);
   };
   FeatureMaps<T> out;
-  if (mono_) out.mono_height = joined(mono_height).value();
+  if (!mono_height.empty()) out.mono_height = joined(mono_height).value();
   for (std::size_t s = 0; s < 3; ++s) {
     out.fpn[s] = joined(fpn[s]);
     out.mono[s] = joined(mono[s]);
   }
-  out.images = stacked<T>(scene.sources, &PosedImage::rgb);
   out.validity = stacked<T>(scene.sources, &PosedImage::valid);
   return out;
 }
 
+template Tensor stacked_images(const NetworkInput&);
+template BasicTensor<double> stacked_images(const NetworkInput&);
 template class FeatureExtractor<float>;
 template class FeatureExtractor<double>;
 

@@ -26,27 +26,30 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
   // terms of 4 b channels, from three maps of b, b / 2 and b / 4 and what is kept of them.
   const bool mono = config.mono != MonoBranch::none, fusion = mono && config.fusion != Fusion::none;
   const double m = static_cast<double>(config.mono_net.base);
-  std::array<double, 3> mono_maps{mono ? 1.0 : 0, fusion ? 0.5 * m : 0, fusion ? m : 0};
+  std::array<double, 3> mono_maps{mono && learns(wanted) ? 1.0 : 0, fusion ? 0.5 * m : 0,
+                                  fusion ? m : 0};
   const double all_mono_maps = mono_maps[0] + mono_maps[1] + mono_maps[2];
   add("features", (N - 1) * (1.75 * b + all_mono_maps) + 10.75 * b + 3);
-  double kept =
-      N * (1.75 * b + all_mono_maps + 3 + 1);  // features, monocular ones, images, validity
+  double kept = N * (1.75 * b + all_mono_maps + 1);  // features, monocular ones, validity
   // Hypotheses and probabilities of a stage.
   const auto distribution_of = [&](std::size_t s) {
     return 2 * N * static_cast<double>(config.hypotheses[s]) /
            static_cast<double>(kStrides[s] * kStrides[s]);
   };
-  // Floats of the bands that a stage's volume is swept in.
-  const auto bands_of = [&](std::size_t s) {
-    const Index H = height / kStrides[s], W = width / kStrides[s],
-                channels = config.base * kStrides[s] + (config.best_pair ? kPairChannels : 0),
-                row = channels * config.hypotheses[s] * W, rows = row > 0 ? band_rows(row) : H;
-    const Index floats = rows < H ? 2 * (rows + 2) * row : (H + 2) * row;
-    if (!config.visible_pairs) return static_cast<double>(floats);
-    // Whole: the volume before and after the pairs' channels join it, or that of the last pair and
-    // the costs of all, before and behind their concatenation.
-    const Index other = 2 * row + (2 * (views - 1) + 1) * kPairChannels * config.hypotheses[s] * W;
-    return static_cast<double>(H * other);
+  // Floats of a stage's volume, as far as it is there at one time, and what the first convolution
+  // makes of it.
+  const auto first_of = [&](std::size_t s) {
+    const Index H = height / kStrides[s], W = width / kStrides[s], C = config.base * kStrides[s],
+                channels = C + (config.best_pair ? kPairChannels : 0),
+                slice = config.hypotheses[s] * W, row = channels * slice,
+                rows = row > 0 ? band_rows(row) : H, pairs = views - 1;
+    // The volume is whole and waits for the costs of the pairs: one is swept while the others are
+    // kept, or all are read with a hidden layer and weights beside them.
+    if (config.visible_pairs)
+      return static_cast<double>(
+          H * (row + slice * std::max(C + (pairs + 2) * kPairChannels, 19 * pairs + 10)));
+    const Index bands = rows < H ? 2 * (rows + 2) * row : (H + 2) * row;
+    return static_cast<double>(bands + H * slice * config.volume_base);
   };
   for (std::size_t s = 0; s < stages_of(wanted); ++s) {
     const double p = 1 / static_cast<double>(kStrides[s] * kStrides[s]);
@@ -62,8 +65,7 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
     // makes of it, or the sum at the U-Net's end; then logits, their concatenation and the
     // probabilities of all views.
     const double scratch = std::min(kScratch * workers, 0.25 * D * p * v * pixels) / pixels;
-    const double first = bands_of(s) / (p * pixels) + D * v;
-    const double volume = N * D + N * C + std::max(first, 2.3 * D * v),
+    const double volume = N * D + N * C + std::max(first_of(s) / (p * pixels), 2.3 * D * v),
                  distribution = 2 * N * D + 2 * N;
     add("volumes" + stage, kept + std::max(p * volume + scratch, p * distribution));
     kept += N * p * (D + 3);  // probability, height, two confidences
@@ -72,6 +74,9 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
     // One view's input, once more in parts, and three layers of the head; then all raw attributes,
     // packed surfels and their attributes.
     const double surfels = N * (kRaw + 2 * kSurfel);
+    const bool first_surfels =
+        wanted == Wanted::discs ? s == 2 : wanted == Wanted::surfels && s == 0;
+    if (first_surfels) kept += 3 * N;  // images
     if (wanted == Wanted::discs && s == 2) add("discs", kept + surfels);
     if (wanted != Wanted::surfels) continue;
     const double images = s < 2 ? 3 * N : 0;

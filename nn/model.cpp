@@ -175,12 +175,13 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
                                                         const NarrowSearch<T>& narrow) const {
   MemoryMeter meter(memory);
   const std::array<StageGrid, 3> grids = stage_grids(config, scene, wanted);
-  FeatureMaps<T> features = extract_features(scene, poll);
+  FeatureMaps<T> features = extract_features(scene, poll, wanted);
   meter.end("features");
 
   std::array<StageOutput<T>, 3> out;
   rpc::HeightRange range = scene.z_range;
   BasicTensor<T> in_search;  // probability that the surface lies where the next stage searches
+  BasicTensor<T> images;     // of all views, once surfels are coloured
   for (std::size_t s = 0; s < stages_of(wanted); ++s) {
     const StageParts<T>& part = stages[s];
     const StageGrid& grid = grids[s];
@@ -211,7 +212,8 @@ std::array<StageOutput<T>, 3> BasicModel<T>::Parts::run(const NetworkInput& scen
     if (wanted != Wanted::surfels) features.fpn[s] = {};  // the heads alone read them again
     if (wanted == Wanted::discs && s == 2) drop_distribution(out[s]);
     if (wanted != Wanted::surfels && !(wanted == Wanted::discs && s == 2)) continue;
-    const BasicVar<T> image(downsampled(features.images, grid.stride));
+    if (images.empty()) images = stacked_images<T>(scene);
+    const BasicVar<T> image(downsampled(images, grid.stride));
     const BasicVar<T> confidence = head_confidence(config, heights);
     if (wanted == Wanted::discs) {
       out[s].surfels = discs_from_maps(heights.height, image.value(), confidence.detach(),

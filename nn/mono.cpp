@@ -54,7 +54,7 @@ Normalised<T> MonoNet<T>::raise(const Up& up, const Normalised<T>& coarse,
 }
 
 template <class T>
-MonoOutput<T> MonoNet<T>::operator()(const BasicVar<T>& image) const {
+MonoOutput<T> MonoNet<T>::operator()(const BasicVar<T>& image, bool with_height) const {
   Dims dim("mono");
   dim.match("image", image, "N 3 H W");
   const Index N = dim["N"], H = dim["H"], W = dim["W"];
@@ -76,7 +76,7 @@ MonoOutput<T> MonoNet<T>::operator()(const BasicVar<T>& image) const {
     if (skips.size() == 2) x = out.features_half = materialise(x);
     if (skips.size() == 1) x = out.features_full = materialise(x);
   }
-  out.height = reshape(height_(x), Shape{N, H, W});
+  if (with_height) out.height = reshape(height_(x), Shape{N, H, W});
   return out;
 }
 

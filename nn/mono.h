@@ -40,9 +40,10 @@ class MonoNet {
  public:
   /// name  begins the parameters' names, `NAME.stem.weight`; empty for none
   MonoNet(ParameterSet<T>& parameters, const std::string& name, const MonoConfig& config);
-  /// image   [N 3 H W], each standardised; H and W multiples of `kMonoMultiple`
-  /// throws  ShapeError
-  MonoOutput<T> operator()(const BasicVar<T>& image) const;
+  /// image        [N 3 H W], each standardised; H and W multiples of `kMonoMultiple`
+  /// with_height  or the features alone
+  /// throws       ShapeError
+  MonoOutput<T> operator()(const BasicVar<T>& image, bool with_height = true) const;
 
   Index half_channels() const { return half_; }  ///< C2
   Index full_channels() const { return full_; }  ///< C3

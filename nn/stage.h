@@ -19,6 +19,11 @@ enum class Wanted {
 /// How many of the three stages that takes.
 constexpr std::size_t stages_of(Wanted wanted) { return wanted == Wanted::coarse_heights ? 2 : 3; }
 
+/// Whether a loss may be made of it.
+constexpr bool learns(Wanted wanted) {
+  return wanted == Wanted::heights || wanted == Wanted::surfels;
+}
+
 /// The size of one stage of the cascade: of its maps [N h w] and volumes [N D h w], and where its
 /// hypotheses lie.
 struct StageGrid {
