@@ -127,6 +127,7 @@ void make_taps(const SweepLines<T>& line, const T* z, Index n, Index H, Index W,
   const T right = static_cast<T>(W - 1), bottom = static_cast<T>(H - 1);
   const auto last_x = static_cast<std::int32_t>(W > 1 ? W - 2 : 0);
   const auto last_y = static_cast<std::int32_t>(H > 1 ? H - 2 : 0);
+  const auto width = static_cast<std::int32_t>(W);
   for (Index i = 0; i < n; ++i) {
     const T t = (z[i] - line.z0) * line.tz;
     const T u = line.u[0][i] + t * (line.u[1][i] + t * line.u2);
@@ -140,8 +141,8 @@ void make_taps(const SweepLines<T>& line, const T* z, Index n, Index H, Index W,
     const T fx = u_in - static_cast<T>(x), fy = v_in - static_cast<T>(y);
     taps.x[i] = x;
     taps.y[i] = y;
-    taps.nearest_x[i] = static_cast<std::int32_t>(u_in + T(0.5));
-    taps.nearest_y[i] = static_cast<std::int32_t>(v_in + T(0.5));
+    taps.nearest[i] =
+        static_cast<std::int32_t>(v_in + T(0.5)) * width + static_cast<std::int32_t>(u_in + T(0.5));
     taps.counts[i] = counts;
     taps.weight[0][i] = counts * (1 - fx) * (1 - fy);
     taps.weight[1][i] = counts * fx * (1 - fy);
@@ -150,7 +151,7 @@ void make_taps(const SweepLines<T>& line, const T* z, Index n, Index H, Index W,
   }
   if (valid == nullptr) return;
   for (Index i = 0; i < n; ++i) {
-    if (valid[taps.nearest_y[i] * W + taps.nearest_x[i]] != 0) continue;
+    if (valid[taps.nearest[i]] != 0) continue;
     taps.counts[i] = 0;
     for (Index k = 0; k < 4; ++k) taps.weight[k][i] = 0;
   }

@@ -31,10 +31,10 @@ struct SweepLines {
 };
 
 /// One source view's samples of a tile at one height hypothesis: upper left neighbour, nearest
-/// pixel, bilinear weights (all 0 where the sample does not count) and 1 where it counts.
+/// pixel in the row-major map, bilinear weights (all 0 where the sample does not count) and 1 where it counts.
 template <class T>
 struct SweepTaps {
-  std::int32_t x[kSweepTile], y[kSweepTile], nearest_x[kSweepTile], nearest_y[kSweepTile];
+  std::int32_t x[kSweepTile], y[kSweepTile], nearest[kSweepTile];
   T weight[4][kSweepTile], counts[kSweepTile];
 };
 
