@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "satsurf/app/beside.h"
 #include "satsurf/app/interrupt.h"
 #include "satsurf/app/legend.h"
 #include "satsurf/app/preview.h"
@@ -241,8 +242,7 @@ bool reconstruct_whole(ReconstructJob& job) {
   std::future<void> pictures;  // beside the mesh, of which parts are not parallel
   job.warnings.attempt("pictures", [&] {
     rendered = render_views(made, with_mesh, progress);
-    pictures = std::async(threads() > 1 ? std::launch::async : std::launch::deferred,
-                          [&] { write_pictures(folder, made, scene, rendered); });
+    pictures = beside([&] { write_pictures(folder, made, scene, rendered); });
   });
   stop_if_interrupted();
   if (with_mesh) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "satsurf/app/surface_files.h"
 
+#include "satsurf/app/beside.h"
 #include "satsurf/app/products.h"
 #include "satsurf/core/files.h"
 #include "satsurf/core/parallel.h"
@@ -102,14 +103,11 @@ void write_rasters(const fs::path& folder, const reconstruct::Reconstruction& ma
 
 std::future<void> write_surfels(const fs::path& file, const reconstruct::Reconstruction& made,
                                 const rpc::LocalFrame& frame, Index most_surfels) {
-  return std::async(threads() > 1 ? std::launch::async : std::launch::deferred,
-                    [&made, file, comments = frame_comments(frame), most_surfels] {
-                      const OnOneThread alone;
-                      const splat::Surfels laid = reconstruct::delivered_surfels(made);
-                      splat::write_ply(file,
-                                       most_surfels > 0 ? splat::thinned(laid, most_surfels) : laid,
-                                       comments);
-                    });
+  return beside([&made, file, comments = frame_comments(frame), most_surfels] {
+    const OnOneThread alone;
+    const splat::Surfels laid = reconstruct::delivered_surfels(made);
+    splat::write_ply(file, most_surfels > 0 ? splat::thinned(laid, most_surfels) : laid, comments);
+  });
 }
 
 void write_ortho(const fs::path& file, const reconstruct::Reconstruction& made,

@@ -33,8 +33,7 @@ void write_rasters(const std::filesystem::path& folder, const reconstruct::Recon
                    const scene::Scene& scene, const reconstruct::Visibility& visibility,
                    rpc::HeightDatum datum);
 
-/// Writes the surfels, the largest file of all, on a thread of its own from now on; where the program
-/// may use one thread only, when the result is waited for.
+/// Writes the surfels, the largest file of all, `beside` what follows.
 /// made          must outlive what is returned
 /// most_surfels  that the file may hold, 0 for all
 /// returns       ends when they are on the disk; `get` throws IoError

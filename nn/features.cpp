@@ -70,7 +70,7 @@ FeatureMaps<T> FeatureExtractor<T>::operator()(const NetworkInput& scene,
     if (poll) poll();
     const NoGrad no_grad;
     const MonoOutput<T> alone = (*mono_)(image, learns(wanted));
-    if (learns(wanted)) mono_height.push_back(alone.height);
+    if (!alone.height.empty()) mono_height.push_back(alone.height);
     if (!fuses_) continue;
     mono[1].push_back(alone.features_half);
     mono[2].push_back(alone.features_full);

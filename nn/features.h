@@ -36,8 +36,8 @@ class FeatureExtractor {
   /// scene    source views of one size
   /// poll     called between networks, may throw to stop
   /// wanted   what the maps are for
-  /// returns  monocular maps are empty without that branch, its features without fusion, too, and its
-  ///          heights where nothing is learnt of them
+  /// returns  monocular maps are empty without that branch; its features also without fusion, its
+  ///          heights also where no loss may read them
   FeatureMaps<T> operator()(const NetworkInput& scene, const std::function<void()>& poll,
                             Wanted wanted) const;
   /// Channels M_s of the monocular features; 0 without that branch.

@@ -43,11 +43,14 @@ std::vector<PartMemory> forward_memory(const ModelConfig& config, Index views, I
                 channels = C + (config.best_pair ? kPairChannels : 0),
                 slice = config.hypotheses[s] * W, row = channels * slice,
                 rows = row > 0 ? band_rows(row) : H, pairs = views - 1;
-    // The volume is whole and waits for the costs of the pairs: one is swept while the others are
-    // kept, or all are read with a hidden layer and weights beside them.
-    if (config.visible_pairs)
-      return static_cast<double>(
-          H * (row + slice * std::max(C + (pairs + 2) * kPairChannels, 19 * pairs + 10)));
+    // The volume is whole and waits for the costs of the pairs: one is swept while those of the others
+    // are kept; or of each pair there are the costs, before and behind their concatenation, a hidden
+    // layer of 8 and a weight, and 10 channels of the result and what the layers work in.
+    if (config.visible_pairs) {
+      const Index swept = C + (pairs + 2) * kPairChannels,
+                  weighed = (2 * kPairChannels + 8 + 1) * pairs + 10;
+      return static_cast<double>(H * (row + slice * std::max(swept, weighed)));
+    }
     const Index bands = rows < H ? 2 * (rows + 2) * row : (H + 2) * row;
     return static_cast<double>(bands + H * slice * config.volume_base);
   };

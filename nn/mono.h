@@ -41,7 +41,7 @@ class MonoNet {
   /// name  begins the parameters' names, `NAME.stem.weight`; empty for none
   MonoNet(ParameterSet<T>& parameters, const std::string& name, const MonoConfig& config);
   /// image        [N 3 H W], each standardised; H and W multiples of `kMonoMultiple`
-  /// with_height  or the features alone
+  /// with_height  false for the features alone: `height` stays empty
   /// throws       ShapeError
   MonoOutput<T> operator()(const BasicVar<T>& image, bool with_height = true) const;
 

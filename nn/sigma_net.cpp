@@ -6,7 +6,6 @@
 #include "satsurf/core/parallel.h"
 #include "satsurf/nn/squeezed.h"
 #include "satsurf/ops/concat.h"
-#include "satsurf/ops/elementwise.h"
 
 #include <algorithm>
 #include <cmath>

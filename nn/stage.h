@@ -19,7 +19,7 @@ enum class Wanted {
 /// How many of the three stages that takes.
 constexpr std::size_t stages_of(Wanted wanted) { return wanted == Wanted::coarse_heights ? 2 : 3; }
 
-/// Whether a loss may be made of it.
+/// Whether a loss may read what comes of it.
 constexpr bool learns(Wanted wanted) {
   return wanted == Wanted::heights || wanted == Wanted::surfels;
 }

@@ -13,10 +13,6 @@
 namespace satsurf {
 namespace {
 
-/// A number as wide as those compared, so that one vector chooses in both.
-template <class T>
-using PlaceOf = std::conditional_t<sizeof(T) == 4, std::int32_t, std::int64_t>;
-
 /// The first and last hypothesis near each mode, and the probability of them together.
 template <class T>
 struct Modes {
@@ -42,7 +38,8 @@ BasicVar<T> mode_height(const BasicVar<T>& probability, const BasicTensor<T>& he
   modes.last.resize(modes.first.size());
   modes.mass = BasicTensor<T>::uninitialised({B, H, W});
   auto out = BasicTensor<T>::uninitialised({B, H, W});
-  using Place = PlaceOf<T>;
+  // As wide as what is compared, so that one vector chooses in both.
+  using Place = std::conditional_t<sizeof(T) == 4, std::int32_t, std::int64_t>;
   const T *p = probability.value().data(), *h = heights.data();
   for_each_index(B * H, [&](Index row) {
     const Index at = row / H * D * P + row % H * W;  // of the volume

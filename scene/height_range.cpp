@@ -206,8 +206,7 @@ class HeightSearch {
   /// gap  m between the patch and what is found besides
   bool others_agree(Index view, const FoundPatch& patch, double gap, std::size_t way) {
     // Shares of the pixels. Where one other view alone sees the patch, chance agrees too often with less
-    // than two windows; but for what nearly touches the rest, where it widens the
-    // span by little.
+    // than two windows; but for what nearly touches the rest, where it widens the span by little.
     constexpr double kSame = 0.5, kSure = 0.3, kSameInOne = 0.75, kSureInOne = 0.5;
     constexpr double kSameTouching = 0.7, kSureTouching = 0.25;
     constexpr Index kLarge = 2 * HeightSweep::kPatch;

@@ -123,19 +123,18 @@ ColumnField::Hit ColumnField::walk(double x_high, double y_high, double x_low, d
     if (!by_u) front_r = r - v.sign;
     return true;
   };
-  const auto beyond = [&] { return c < 0 || c >= cols_ || r < 0 || r >= rows_; };
   Index group = -1;  // that the ray does not pass over
   for (;;) {
     const Index bc = c / kBlock, br = r / kBlock, gc = bc / kGroup, gr = br / kGroup;
-    if (const Index here = gr * groups_.columns + gc; here != group) {
-      if (passes_over(kGroup * kBlock, static_cast<double>(groups_.at(gr, gc)))) {
-        if (beyond()) return {};
-        continue;
-      }
+    const Index here = gr * groups_.columns + gc;
+    bool over =
+        here != group && passes_over(kGroup * kBlock, static_cast<double>(groups_.at(gr, gc)));
+    if (!over) {
       group = here;
+      over = passes_over(kBlock, static_cast<double>(blocks_.at(br, bc)));
     }
-    if (passes_over(kBlock, static_cast<double>(blocks_.at(br, bc)))) {
-      if (beyond()) return {};
+    if (over) {
+      if (c < 0 || c >= cols_ || r < 0 || r >= rows_) return {};
       continue;
     }
     double next_u = u.exit(c, 1), next_v = v.exit(r, 1);
